@@ -1,0 +1,114 @@
+"""Category specs. A category is data: no code elsewhere asks for its name."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from .errors import InputError
+from .kinematics import JointType, KinematicTree
+
+
+@dataclass(frozen=True)
+class PartSpec:
+    """One part of a category."""
+
+    name: str
+    keypoints: int
+    """Number of keypoints on the part; even where the part is its own mirror image."""
+    mirror: int | None = None
+    """Index of the part that is this one's image in the plane x = 0 (itself, another, or None: no mirror)."""
+    aliases: tuple[str, ...] = ()
+    """Link and semantic names that foreign models use for this part; matched as lower-case substrings."""
+
+
+@dataclass(frozen=True)
+class JointSpec:
+    """Joint that links part ``index + 1`` to ``parent``; ``index`` is its place in ``Category.joints``."""
+
+    name: str
+    type: JointType
+    parent: int
+    axis: tuple[float, float, float]
+    """Direction in canonical space, signed as the category's state is."""
+    limits: tuple[float, float]
+    """Radians; for a prismatic joint in category units. Used where an object states none, and to draw views."""
+
+
+@dataclass(frozen=True)
+class ViewRange:
+    """How standard views look at a category, in radians (see ``omad.views``)."""
+
+    azimuth: float = math.pi / 2
+    """Uniform within plus or minus this of the front."""
+    elevation: tuple[float, float] = (math.radians(10), math.radians(70))
+    roll: float = math.radians(15)
+
+
+@dataclass(frozen=True)
+class Category:
+    """What the parts and joints of a kind of object are called and how they are signed."""
+
+    name: str
+    metres_per_unit: float
+    """One category unit in metres: about the radius of an object's bounding sphere."""
+    parts: tuple[PartSpec, ...]
+    joints: tuple[JointSpec, ...]
+    rest: tuple[str, ...]
+    """Per joint, how geometry tells the rest state: 'closed' (box smallest), 'perpendicular' (child at 90 degrees)."""
+    views: ViewRange = ViewRange()
+    basis_size: int = 10
+    """|beta|."""
+
+    def __post_init__(self) -> None:
+        for part in self.parts:
+            if part.mirror is not None and self.parts[part.mirror].keypoints != part.keypoints:
+                raise ValueError(f"{self.name}: mirrored parts need equally many keypoints")
+        for index, part in enumerate(self.parts):
+            if part.mirror == index and part.keypoints % 2:
+                raise ValueError(f"{self.name}: part {part.name} is its own mirror, so its keypoints must be even")
+
+    @property
+    def tree(self) -> KinematicTree:
+        return KinematicTree(tuple(j.parent for j in self.joints), tuple(j.type for j in self.joints))
+
+    @property
+    def num_keypoints(self) -> int:
+        return sum(part.keypoints for part in self.parts)
+
+    @property
+    def part_of_keypoint(self) -> tuple[int, ...]:
+        """Keypoints are grouped by part, base first."""
+        return tuple(index for index, part in enumerate(self.parts) for _ in range(part.keypoints))
+
+
+LAPTOP = Category(
+    name="laptop",
+    metres_per_unit=0.28,
+    parts=(
+        PartSpec("base", 12, mirror=0, aliases=("base", "bottom", "keyboard")),
+        PartSpec("screen", 12, mirror=1, aliases=("screen", "top", "lid", "display")),
+    ),
+    joints=(JointSpec("hinge", "revolute", 0, (1.0, 0.0, 0.0), (math.radians(-80), math.radians(85))),),
+    rest=("perpendicular",),
+)
+
+DISHWASHER = Category(
+    name="dishwasher",
+    metres_per_unit=0.57,
+    parts=(
+        PartSpec("body", 12, mirror=0, aliases=("body", "cabinet", "frame")),
+        PartSpec("door", 12, mirror=1, aliases=("door",)),
+    ),
+    joints=(JointSpec("door_hinge", "revolute", 0, (1.0, 0.0, 0.0), (0.0, math.radians(90))),),
+    rest=("closed",),
+)
+
+CATEGORIES = {category.name: category for category in (LAPTOP, DISHWASHER)}
+
+
+def get_category(name: str) -> Category:
+    """The built-in spec called ``name``. Raises InputError naming the known ones."""
+    if name not in CATEGORIES:
+        raise InputError(f"unknown category {name!r}: known ones are {', '.join(sorted(CATEGORIES))}")
+    return CATEGORIES[name]
