@@ -38,7 +38,9 @@ class KinematicTree:
             raise ValueError(f"{len(self.parents)} parents but {len(self.types)} joint types")
         for joint, (parent, kind) in enumerate(zip(self.parents, self.types, strict=True)):
             if not 0 <= parent <= joint:
-                raise ValueError(f"joint {joint}: parent part {parent} must come before its child part {joint + 1}")
+                raise ValueError(
+                    f"joint {joint}: parent part {parent} must come before its child part {joint + 1}"
+                )
             if kind not in ("revolute", "prismatic"):
                 raise ValueError(f"joint {joint}: unknown type {kind!r}, expected 'revolute' or 'prismatic'")
 

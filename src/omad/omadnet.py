@@ -1,0 +1,98 @@
+"""OMADNet: a partial cloud -> coarse beta and joint states, keypoints with confidence, part labels.
+
+Three branches on one PointNet++ (paper, section 4). The network works in an *input frame*: the camera
+frame moved to the cloud's mean for a first look, the frame of its own first answer for a second one.
+Everything in category units and radians.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+from .categories import Category
+from .geometry import make_transform, quaternion_to_matrix
+from .pointnet2 import SLIM, BackboneConfig, PointNet2, interpolate
+from .prior import OmadPrior
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """What the network says of B clouds, in their input frames."""
+
+    beta: Tensor
+    """(B, |beta|)."""
+    quaternion: Tensor
+    """(B, 4) unit, rotation of the base."""
+    translation: Tensor
+    """(B, 3)."""
+    states: Tensor
+    """(B, J)."""
+    keypoints: Tensor
+    """(B, M, 3)."""
+    log_sigma: Tensor
+    """(B, M) log of each keypoint's expected error per coordinate, category units."""
+    part_logits: Tensor
+    """(B, N, K) for every input point."""
+
+    @property
+    def T_input_base(self) -> Tensor:
+        """(B, 4, 4)."""
+        return make_transform(quaternion_to_matrix(self.quaternion), self.translation)
+
+
+class OmadNet(nn.Module):
+    """Backbone, three branches, and the prior that they speak the language of."""
+
+    def __init__(self, category: Category, prior: OmadPrior, backbone: BackboneConfig = SLIM) -> None:
+        super().__init__()
+        self.category = category
+        self.prior = prior.requires_grad_(False)
+        self.backbone = PointNet2(backbone)
+        width, dense = backbone.widths[2], backbone.dense
+        joints, keypoints, parts = len(category.joints), category.num_keypoints, len(category.parts)
+
+        self.shape_branch = nn.Sequential(
+            nn.Linear(width, width), nn.ReLU(), nn.Linear(width, prior.basis_size)
+        )
+        self.state_branch = nn.Sequential(nn.Linear(width, width), nn.ReLU(), nn.Linear(width, 7 + joints))
+        self.keypoint_branch = nn.Sequential(
+            nn.Linear(dense, dense), nn.ReLU(), nn.Linear(dense, 5 * keypoints)
+        )
+        self.part_coarse = nn.Linear(dense, 32)
+        self.part_fine = nn.Linear(3, 32, bias=False)
+        self.part_out = nn.Linear(32, parts)
+
+    def forward(self, points: Tensor) -> Prediction:
+        """points (B, N, 3) in the input frame, in random order."""
+        features = self.backbone(points)
+        state = self.state_branch(features.pooled)
+        votes = self.keypoint_branch(features.dense).unflatten(-1, (-1, 5))  # (B, C, M, 5)
+        attention = votes[..., 3].softmax(1)
+        placed = features.centres[:, :, None] + votes[..., :3]
+        keypoints = (attention[..., None] * placed).sum(1)  # paper, Eq. 7, with scores that sum to one
+        log_sigma = (attention * votes[..., 4]).sum(1) - 3.0  # starts near 0.05 units
+        coarse = self.part_coarse(features.dense)
+        part = interpolate(points, features.centres, coarse) + self.part_fine(points / 0.2)
+        return Prediction(
+            beta=self.prior.beta_mean + self.shape_branch(features.pooled),
+            quaternion=nn.functional.normalize(state[:, :4] + state.new_tensor([1e-3, 0, 0, 0]), dim=-1),
+            translation=state[:, 4:7],
+            states=state[:, 7:],
+            keypoints=keypoints,
+            log_sigma=log_sigma.clamp(-6.0, 1.0),
+            part_logits=self.part_out(part.relu()),
+        )
+
+
+def to_input_frame(points: Tensor, T_camera_input: Tensor) -> Tensor:
+    """Camera-frame points (B, N, 3) in the input frame (B, 4, 4)."""
+    return (points - T_camera_input[:, None, :3, 3]) @ T_camera_input[:, :3, :3]
+
+
+def first_frame(points: Tensor) -> Tensor:
+    """T_camera_input (B, 4, 4) of a first look: camera axes, moved to the cloud's mean."""
+    eye = torch.eye(3, dtype=points.dtype, device=points.device).expand(len(points), 3, 3)
+    return make_transform(eye, points.mean(1))

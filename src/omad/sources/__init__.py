@@ -1,0 +1,1 @@
+"""Where object models come from."""
