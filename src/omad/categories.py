@@ -66,9 +66,7 @@ class Category:
                 raise ValueError(f"{self.name}: mirrored parts need equally many keypoints")
         for index, part in enumerate(self.parts):
             if part.mirror == index and part.keypoints % 2:
-                raise ValueError(
-                    f"{self.name}: part {part.name} is its own mirror, so its keypoints must be even"
-                )
+                raise ValueError(f"{self.name}: part {part.name} is its own mirror, so its keypoints must be even")
 
     @property
     def tree(self) -> KinematicTree:

@@ -38,9 +38,7 @@ class KinematicTree:
             raise ValueError(f"{len(self.parents)} parents but {len(self.types)} joint types")
         for joint, (parent, kind) in enumerate(zip(self.parents, self.types, strict=True)):
             if not 0 <= parent <= joint:
-                raise ValueError(
-                    f"joint {joint}: parent part {parent} must come before its child part {joint + 1}"
-                )
+                raise ValueError(f"joint {joint}: parent part {parent} must come before its child part {joint + 1}")
             if kind not in ("revolute", "prismatic"):
                 raise ValueError(f"joint {joint}: unknown type {kind!r}, expected 'revolute' or 'prismatic'")
 
@@ -71,9 +69,7 @@ def joint_transforms(tree: KinematicTree, axes: Tensor, pivots: Tensor, states: 
     return make_transform(rotation, torch.where(revolute[:, None], turn, slide))
 
 
-def part_transforms(
-    tree: KinematicTree, axes: Tensor, pivots: Tensor, states: Tensor, T_camera_base: Tensor
-) -> Tensor:
+def part_transforms(tree: KinematicTree, axes: Tensor, pivots: Tensor, states: Tensor, T_camera_base: Tensor) -> Tensor:
     """G of every part: canonical rest coordinates -> camera. T_camera_base (B, 4, 4) -> (B, K, 4, 4)."""
     F = joint_transforms(tree, axes, pivots, states)
     G = [T_camera_base]

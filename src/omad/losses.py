@@ -60,21 +60,15 @@ def coverage_loss(keypoints: Tensor, part_of: Tensor, low: Tensor, high: Tensor,
     return (plain + relative) / 2
 
 
-def separation_loss(
-    keypoints: Tensor, part_of: Tensor, low: Tensor, high: Tensor, share: float = 1 / 8
-) -> Tensor:
+def separation_loss(keypoints: Tensor, part_of: Tensor, low: Tensor, high: Tensor, share: float = 1 / 8) -> Tensor:
     """Hinge: keypoints of a part closer together than a ``share`` of the part's box diagonal."""
     margin = (share * (high - low).norm(dim=-1))[:, part_of]
-    pairs = (part_of[:, None] == part_of[None]) & ~torch.eye(
-        len(part_of), dtype=torch.bool, device=part_of.device
-    )
+    pairs = (part_of[:, None] == part_of[None]) & ~torch.eye(len(part_of), dtype=torch.bool, device=part_of.device)
     gap = (margin[..., None] - _distances(keypoints, keypoints)).clamp(min=0)
     return (gap * pairs).sum((1, 2)).mean() / pairs.sum()
 
 
-def joint_loss(
-    axes: Tensor, pivots: Tensor, true_axes: Tensor, true_pivots: Tensor, revolute: Tensor
-) -> Tensor:
+def joint_loss(axes: Tensor, pivots: Tensor, true_axes: Tensor, true_pivots: Tensor, revolute: Tensor) -> Tensor:
     """Pivot's distance from the true axis line (revolute (J,) only) + half of 1 - cos between axes, all (B, J, 3)."""
     distance = point_to_line(pivots, true_axes, true_pivots) * revolute
     return (distance + 0.5 * (1 - (axes * true_axes).sum(-1))).mean()

@@ -52,10 +52,7 @@ class ObjectModel:
     def part_transforms(self, states: np.ndarray, T_camera_base: np.ndarray | None = None) -> np.ndarray:
         """(K, 4, 4) canonical -> camera (or base, if no pose is given) for joint states (J,)."""
         pose = np.eye(4) if T_camera_base is None else T_camera_base
-        batch = [
-            torch.as_tensor(np.asarray(a, dtype=np.float64))[None]
-            for a in (self.axes, self.pivots, states, pose)
-        ]
+        batch = [torch.as_tensor(np.asarray(a, dtype=np.float64))[None] for a in (self.axes, self.pivots, states, pose)]
         return part_transforms(self.tree, *batch)[0].numpy()
 
     def posed_vertices(self, states: np.ndarray, T_camera_base: np.ndarray | None = None) -> list[np.ndarray]:

@@ -54,13 +54,9 @@ class OmadNet(nn.Module):
         width, dense = backbone.widths[2], backbone.dense
         joints, keypoints, parts = len(category.joints), category.num_keypoints, len(category.parts)
 
-        self.shape_branch = nn.Sequential(
-            nn.Linear(width, width), nn.ReLU(), nn.Linear(width, prior.basis_size)
-        )
+        self.shape_branch = nn.Sequential(nn.Linear(width, width), nn.ReLU(), nn.Linear(width, prior.basis_size))
         self.state_branch = nn.Sequential(nn.Linear(width, width), nn.ReLU(), nn.Linear(width, 7 + joints))
-        self.keypoint_branch = nn.Sequential(
-            nn.Linear(dense, dense), nn.ReLU(), nn.Linear(dense, 5 * keypoints)
-        )
+        self.keypoint_branch = nn.Sequential(nn.Linear(dense, dense), nn.ReLU(), nn.Linear(dense, 5 * keypoints))
         self.part_coarse = nn.Linear(dense, 32)
         self.part_fine = nn.Linear(3, 32, bias=False)
         self.part_out = nn.Linear(32, parts)

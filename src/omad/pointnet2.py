@@ -21,9 +21,7 @@ def gather(values: Tensor, index: Tensor) -> Tensor:
 
 def nearest(queries: Tensor, points: Tensor, k: int) -> tuple[Tensor, Tensor]:
     """Squared distances and indices (B, Q, k) of the k nearest ``points`` (B, N, 3) to ``queries`` (B, Q, 3)."""
-    distance = (
-        queries.square().sum(-1, keepdim=True) - 2 * queries @ points.mT + points.square().sum(-1)[:, None]
-    )
+    distance = queries.square().sum(-1, keepdim=True) - 2 * queries @ points.mT + points.square().sum(-1)[:, None]
     squared, index = distance.topk(k, largest=False, sorted=False)
     return squared.clamp(min=0), index
 
@@ -44,9 +42,7 @@ class Residual(nn.Module):
 class SetAbstraction(nn.Module):
     """Group the neighbours of each centre, a shared two-layer MLP, max over the group."""
 
-    def __init__(
-        self, features: int, width: int, neighbours: int, scale: float, radius: float | None = None
-    ) -> None:
+    def __init__(self, features: int, width: int, neighbours: int, scale: float, radius: float | None = None) -> None:
         super().__init__()
         self.neighbours, self.scale, self.radius = neighbours, scale, radius
         # the first layer acts on the points before they are copied into groups: cheaper, and the same sum
@@ -132,12 +128,8 @@ class PointNet2(nn.Module):
         self.config = config
         first, second, pooled = config.widths
         self.abstraction1 = SetAbstraction(0, first, config.neighbours[0], scale=0.2, radius=config.radii[0])
-        self.abstraction2 = SetAbstraction(
-            first, second, config.neighbours[1], scale=0.4, radius=config.radii[1]
-        )
-        self.global_layers = nn.Sequential(
-            nn.Linear(second + 3, pooled), nn.ReLU(), nn.Linear(pooled, pooled)
-        )
+        self.abstraction2 = SetAbstraction(first, second, config.neighbours[1], scale=0.4, radius=config.radii[1])
+        self.global_layers = nn.Sequential(nn.Linear(second + 3, pooled), nn.ReLU(), nn.Linear(pooled, pooled))
         self.global_residual = Residual(pooled)
         self.fuse2 = Fuse(pooled, second, second)
         self.fuse1 = Fuse(second, first, config.dense)

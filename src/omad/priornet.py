@@ -57,9 +57,9 @@ class PriorNet(nn.Module):
             nn.ReLU(),
             nn.Linear(width, width),
         )
-        self.node_head = nn.Sequential(
-            nn.Linear((1 + parts) * width + 3, width), nn.ReLU(), nn.Linear(width, category.num_keypoints)
-        )
+        self.node_layer = nn.Linear(width + 3, width)
+        self.context_layer = nn.Linear(parts * width, width, bias=False)
+        self.node_head = nn.Linear(width, category.num_keypoints)
         self.shape_head = nn.Sequential(
             nn.Linear(parts * (width + 6), 2 * width), nn.ReLU(), nn.Linear(2 * width, self.prior.basis_size)
         )
@@ -76,9 +76,11 @@ class PriorNet(nn.Module):
         half = ((high - low) / 2).clamp(min=1e-3).gather(1, labels[..., None].expand(-1, -1, 3))
         local = (points - box) / half
         features = self.encoder(torch.cat([points, local, member.mT.to(points.dtype)], -1))
-        pooled = torch.where(member[..., None], features[:, None], -torch.inf).amax(2)  # (B, K, width)
-        context = pooled.flatten(1)[:, None].expand(-1, points.shape[1], -1)
-        logits = self.node_head(torch.cat([features, context, local], -1))  # (B, N, M)
+        pooled = torch.stack(
+            [features.masked_fill(~member[:, k, :, None], -torch.inf).amax(1) for k in range(parts)], 1
+        )  # (B, K, width)
+        context = self.context_layer(pooled.flatten(1))[:, None]
+        logits = self.node_head((self.node_layer(torch.cat([features, local], -1)) + context).relu())  # (B, N, M)
         own = labels[..., None] == self.part_of
         attention = logits.masked_fill(~own, -torch.inf).softmax(1)
         nodes = self._mirror(attention.mT @ points)
@@ -107,8 +109,7 @@ def prior_losses(
         "order": weights.order * (out.nodes - keypoints).norm(dim=-1).mean(),
         "coverage": weights.coverage * coverage_loss(out.nodes, part_of, low, high),
         "surface": weights.surface * surface_loss(out.nodes, part_of, points, labels),
-        "separation": weights.separation
-        * separation_loss(out.nodes, part_of, low, high, weights.separation_share),
+        "separation": weights.separation * separation_loss(out.nodes, part_of, low, high, weights.separation_share),
         "joint": weights.joint * joint_loss(joints.axes, joints.pivots, axes, pivots, revolute),
         "beta": weights.beta * out.beta.square().mean(),
     }

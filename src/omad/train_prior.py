@@ -23,7 +23,7 @@ class PriorTraining:
     """Settings of a prior's training besides the schedule."""
 
     schedule: Schedule = Schedule(steps=6000, batch=32, learning_rate=2e-3)
-    points: int = 1024
+    points: int = 512
     """Points of a complete cloud."""
     scale: tuple[float, float] = (0.8, 1.2)
     """Range of the random stretch of each canonical axis; joints are carried along."""
@@ -62,9 +62,7 @@ def train_prior(
     return averaged
 
 
-def _draw(
-    bank: SurfaceBank, settings: PriorTraining, generator: torch.Generator
-) -> tuple[SurfaceBank, Tensor, Tensor]:
+def _draw(bank: SurfaceBank, settings: PriorTraining, generator: torch.Generator) -> tuple[SurfaceBank, Tensor, Tensor]:
     """Random stretched objects, and a random part of their samples: points (B, n, 3), labels (B, n)."""
     batch, device = settings.schedule.batch, bank.points.device
     indices = torch.randint(len(bank), (batch,), device=device, generator=generator)
@@ -78,9 +76,7 @@ def _draw(
 @torch.no_grad()
 def object_keypoints(net: PriorNet, bank: SurfaceBank) -> ObjectKeypoints:
     """Nodes of every object from all of its samples."""
-    nodes = [
-        net(points[None], labels[None]).nodes for points, labels in zip(bank.points, bank.labels, strict=True)
-    ]
+    nodes = [net(points[None], labels[None]).nodes for points, labels in zip(bank.points, bank.labels, strict=True)]
     return ObjectKeypoints(nodes=torch.cat(nodes))
 
 

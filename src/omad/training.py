@@ -89,9 +89,7 @@ def train(
     log = MetricLog(folder, step)
     began = saved = time.monotonic() - 0.0
     before = seconds
-    bar = tqdm(
-        total=schedule.steps, initial=step, unit="step", file=sys.stderr, disable=not sys.stderr.isatty()
-    )
+    bar = tqdm(total=schedule.steps, initial=step, unit="step", file=sys.stderr, disable=not sys.stderr.isatty())
     try:
         while (progress := _progress(step, seconds, schedule)) < 1:
             for group in optimizer.param_groups:
@@ -173,9 +171,7 @@ def _read_state(path: Path, identity: str) -> dict[str, Any]:
     except Exception as error:
         raise InputError(f"{path}: not a training state of this program; choose another --output") from error
     if not same:
-        raise InputError(
-            f"{path}: belongs to a training with other settings; choose another --output or the same"
-        )
+        raise InputError(f"{path}: belongs to a training with other settings; choose another --output or the same")
     return state
 
 

@@ -17,9 +17,7 @@ OFF_CENTRE = 0.15
 """Largest shift of the object's centre off the image centre, as a share of the frame."""
 
 
-def uniform(
-    low: Tensor | float, high: Tensor | float, shape: tuple[int, ...], like: Tensor, generator
-) -> Tensor:
+def uniform(low: Tensor | float, high: Tensor | float, shape: tuple[int, ...], like: Tensor, generator) -> Tensor:
     """Uniform numbers of ``like``'s dtype and device."""
     return low + (high - low) * torch.rand(shape, dtype=like.dtype, device=like.device, generator=generator)
 
@@ -44,9 +42,7 @@ def look_at(azimuth: Tensor, elevation: Tensor, roll: Tensor) -> Tensor:
     return axis_angle_to_matrix(z, roll) @ torch.stack([right, down, forward], -2)
 
 
-def sample_poses(
-    views: ViewRange, centre: Tensor, radius: Tensor, generator: torch.Generator | None = None
-) -> Tensor:
+def sample_poses(views: ViewRange, centre: Tensor, radius: Tensor, generator: torch.Generator | None = None) -> Tensor:
     """Random T_camera_base (B, 4, 4) of standard views.
 
     ``centre`` (B, 3) and ``radius`` (B,) are the posed object's bounding sphere in the base frame, metres.
@@ -54,9 +50,7 @@ def sample_poses(
     shape = tuple(radius.shape)
     azimuth = uniform(-views.azimuth, views.azimuth, shape, radius, generator)
     elevation = uniform(*views.elevation, shape, radius, generator)
-    elevation = elevation.clamp(
-        max=math.pi / 2 - 1e-3
-    )  # straight down leaves the image's up direction undefined
+    elevation = elevation.clamp(max=math.pi / 2 - 1e-3)  # straight down leaves the image's up direction undefined
     roll = uniform(-views.roll, views.roll, shape, radius, generator)
     rotation = look_at(azimuth, elevation, roll)
 

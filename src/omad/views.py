@@ -217,9 +217,7 @@ def _in_frame(points: Tensor) -> Tensor:
     return (u > -0.5) & (u < camera.width - 0.5) & (v > -0.5) & (v < camera.height - 0.5)
 
 
-def _holes(
-    points: Tensor, centre: Tensor, radius: Tensor, level: Tensor, generator: torch.Generator
-) -> Tensor:
+def _holes(points: Tensor, centre: Tensor, radius: Tensor, level: Tensor, generator: torch.Generator) -> Tensor:
     """Blobs without measurement: in noisy views, a few discs of the image are empty."""
     gone = torch.zeros(points.shape[:2], dtype=torch.bool, device=points.device)
     batch = len(points)

@@ -112,13 +112,9 @@ def _front_strips(rng, width, height, door_low, door_high, front) -> list[Mesh]:
         if rng.random() < 0.5:
             for s in rng.uniform(-0.8, 0.8, int(rng.integers(1, 6))):
                 y, r = (door_high + height) / 2, rng.uniform(0.006, 0.018)
-                solids.append(
-                    cylinder((s * x, y, 0), (s * x, y, max(reach, 0.004) + rng.uniform(0.002, 0.02)), r)
-                )
+                solids.append(cylinder((s * x, y, 0), (s * x, y, max(reach, 0.004) + rng.uniform(0.002, 0.02)), r))
     if door_low > 0.02 and rng.random() < 0.8:
-        set_back = (
-            rng.uniform(0.0, 0.08) if rng.random() < 0.6 else -max(front, 0.003) * rng.uniform(0.2, 1.0)
-        )
+        set_back = rng.uniform(0.0, 0.08) if rng.random() < 0.6 else -max(front, 0.003) * rng.uniform(0.2, 1.0)
         solids.append(box((-x, 0, -set_back - 0.02), (x, door_low - 0.003, -set_back)))
     return solids
 
@@ -168,8 +164,7 @@ def _handle(rng, half, low, high, front) -> list[Mesh]:
     kind = rng.random()
     if kind < 0.55:
         posts = [
-            box((s * span - grip, y - grip, front - 0.003), (s * span + grip, y + grip, front + reach))
-            for s in (-1, 1)
+            box((s * span - grip, y - grip, front - 0.003), (s * span + grip, y + grip, front + reach)) for s in (-1, 1)
         ]
         if rng.random() < 0.5:
             return [*posts, cylinder((-span - grip, y, front + reach), (span + grip, y, front + reach), grip)]
@@ -197,9 +192,7 @@ def _controls(rng, half, low, high, front) -> list[Mesh]:
     y = high - tall / 2
     for s in rng.uniform(-0.85, 0.85, int(rng.integers(0, 6))):
         size = rng.uniform(0.005, 0.02)
-        solids.append(
-            box((s * half - size, y - size, front), (s * half + size, y + size, front + step + 0.006))
-        )
+        solids.append(box((s * half - size, y - size, front), (s * half + size, y + size, front + step + 0.006)))
     return solids
 
 
@@ -207,9 +200,7 @@ def _inner_panel(rng, half, low, high, back) -> list[Mesh]:
     """The raised inner liner of the door, with the detergent dispenser."""
     inset, step = half * rng.uniform(0.05, 0.15), rng.uniform(0.005, 0.03)
     low_corner = (-half + inset, low + (high - low) * rng.uniform(0.05, 0.15), back - step)
-    solids = [
-        slab(low_corner, (half - inset, high - (high - low) * 0.08, back + 0.003), 2, rng.uniform(0.0, 0.03))
-    ]
+    solids = [slab(low_corner, (half - inset, high - (high - low) * 0.08, back + 0.003), 2, rng.uniform(0.0, 0.03))]
     if rng.random() < 0.6:
         x, y = half * rng.uniform(-0.4, 0.3), low + (high - low) * rng.uniform(0.4, 0.7)
         w, h = rng.uniform(0.05, 0.12), rng.uniform(0.04, 0.08)

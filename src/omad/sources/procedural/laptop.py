@@ -50,9 +50,7 @@ def laptop(rng: np.random.Generator, name: str) -> ObjectModel:
     base_solids = [base, *_deck(rng, width, depth, hinge_z, lambda z: _deck_height(base, z), unit)]
     base_solids += _underside(rng, width, depth, thickness, unit)
     screen_solids = [screen, *_screen_relief(rng, low, high, unit)]
-    for solids, barrels in zip(
-        (base_solids, screen_solids), _barrels(rng, width, hinge_y, hinge_z, foot), strict=True
-    ):
+    for solids, barrels in zip((base_solids, screen_solids), _barrels(rng, width, hinge_y, hinge_z, foot), strict=True):
         solids += barrels
     return ObjectModel(
         name=name,
