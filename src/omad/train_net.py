@@ -122,7 +122,7 @@ def train_net(
     torch.manual_seed(settings.schedule.seed)  # initial weights
     bank = SurfaceBank.from_models(models, category, seed=settings.schedule.seed).to(device)
     priornet = priornet.to(device).requires_grad_(False)
-    nodes = object_keypoints(priornet, bank).nodes
+    nodes = object_keypoints(priornet, bank)
     net = OmadNet(category, priornet.prior, settings.backbone).to(device)
 
     def loss_terms(module: torch.nn.Module, draw: torch.Generator) -> dict[str, Tensor]:

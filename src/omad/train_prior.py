@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from .categories import Category
+from .losses import joint_loss
 from .objects import ObjectModel
 from .prior import OmadPrior
 from .priornet import PriorLossWeights, PriorNet, prior_losses
@@ -28,14 +29,6 @@ class PriorTraining:
     scale: tuple[float, float] = (0.8, 1.2)
     """Range of the random stretch of each canonical axis; joints are carried along."""
     weights: PriorLossWeights = PriorLossWeights()
-
-
-@dataclass(frozen=True)
-class ObjectKeypoints:
-    """What a trained PriorNet says of a bank's objects, in category units: the labels that OMADNet learns from."""
-
-    nodes: Tensor
-    """(N, M, 3) keypoints of each object at its own scale, canonical space at rest."""
 
 
 def train_prior(
@@ -58,7 +51,7 @@ def train_prior(
     config = {"kind": "prior", "category": asdict(category), "objects": [m.name for m in models]}
     averaged = train(net, loss_terms, settings.schedule, folder, config)
     assert isinstance(averaged, PriorNet)
-    set_statistics(averaged.prior, object_keypoints(averaged, bank).nodes, settings.scale, generator)
+    finish_prior(averaged.prior, object_keypoints(averaged, bank), bank, settings.scale)
     return averaged
 
 
@@ -74,18 +67,46 @@ def _draw(bank: SurfaceBank, settings: PriorTraining, generator: torch.Generator
 
 
 @torch.no_grad()
-def object_keypoints(net: PriorNet, bank: SurfaceBank) -> ObjectKeypoints:
-    """Nodes of every object from all of its samples."""
+def object_keypoints(net: PriorNet, bank: SurfaceBank) -> Tensor:
+    """Nodes (N, M, 3) of every object at its own scale, from all of its samples: what OMADNet learns to find."""
     nodes = [net(points[None], labels[None]).nodes for points, labels in zip(bank.points, bank.labels, strict=True)]
-    return ObjectKeypoints(nodes=torch.cat(nodes))
+    return torch.cat(nodes)
 
 
-@torch.no_grad()
-def set_statistics(
-    prior: OmadPrior, nodes: Tensor, scale: tuple[float, float], generator: torch.Generator, draws: int = 8
+def finish_prior(
+    prior: OmadPrior, nodes: Tensor, bank: SurfaceBank, scale: tuple[float, float], draws: int = 8, steps: int = 1500
 ) -> None:
-    """Mean and covariance of beta over the training objects, each stretched ``draws`` times."""
-    stretch = uniform(*scale, (draws * len(nodes), 1, 3), nodes.cpu(), generator).to(nodes.device)
-    beta = prior.encode(nodes.repeat(draws, 1, 1) * stretch)
-    prior.beta_mean.copy_(beta.mean(0))
-    prior.beta_covariance.copy_(beta.T.cov())
+    """Once the nodes correspond, make the prior the best that they allow.
+
+    The basis becomes the best linear one of its size (truncated SVD of all nodes, each object stretched ``draws``
+    times; half the error of the basis that taught the nodes), scaled so that every beta has mean square one; the
+    joint function is fitted to the betas of that basis; mean and covariance of beta are taken.
+    """
+    count, device = draws * len(nodes), nodes.device
+    generator = torch.Generator().manual_seed(0)
+    stretch = uniform(*scale, (count, 3), nodes.cpu(), generator).to(device)
+    stretched = nodes.repeat(draws, 1, 1) * stretch[:, None]
+    _, singular, directions = torch.linalg.svd(stretched.flatten(1), full_matrices=False)
+    size = prior.basis_size
+    basis = (directions[:size] * singular[:size, None] / count**0.5).T.reshape(-1, 3, size)
+    with torch.no_grad():
+        prior.learned_basis.copy_(basis[~prior.is_image])
+        beta = prior.encode(stretched)
+        prior.beta_mean.copy_(beta.mean(0))
+        prior.beta_covariance.copy_(beta.T.cov())
+
+    objects = bank.scaled(torch.arange(len(nodes), device=device).repeat(draws), stretch)
+    parameters = [*prior.joint_hidden.parameters(), *prior.joint_out.parameters()]
+    for parameter in parameters:
+        parameter.requires_grad_(True)
+    optimizer = torch.optim.Adam(parameters, lr=3e-3)
+    decay = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, steps)
+    for _ in range(steps):
+        chosen = torch.randint(count, (256,), generator=generator).to(device)
+        joints = prior.joints(beta[chosen])
+        loss = joint_loss(joints.axes, joints.pivots, objects.axes[chosen], objects.pivots[chosen], prior.revolute)
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+        decay.step()
+    prior.requires_grad_(False)

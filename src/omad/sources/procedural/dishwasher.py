@@ -38,8 +38,8 @@ def dishwasher(rng: np.random.Generator, name: str) -> ObjectModel:
     if rng.random() < 0.6:
         door += _inner_panel(rng, door_half, door_low, door_high, back)
 
-    pivot_y = door_low + rng.choice([0.0, rng.uniform(-0.03, 0.06)])
-    pivot_z = back + rng.uniform(-0.1, 1.0) * thickness
+    pivot_y = door_low + rng.choice([0.0, rng.uniform(-0.01, 0.03)])
+    pivot_z = back + rng.uniform(0.0, 0.6) * thickness
     return ObjectModel(
         name=name,
         category=DISHWASHER.name,

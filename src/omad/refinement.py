@@ -1,0 +1,305 @@
+"""The optimisation-based estimator: fit beta, joint states and base pose to keypoint targets (paper, Eq. 9).
+
+Per observation, over the unknowns, in this order
+
+    omega (3)  rotation of the base, R <- exp(omega) R, tangent of SO(3) in camera axes
+    t (3)      translation of the base
+    theta (J)  joint states
+    beta (D)   shape parameters
+
+it minimises   sum_i w_i |W(S(beta), J(beta), Theta)_i - target_i|^2      (robustified)
+             + prior_weight * (beta - mean)^T covariance^-1 (beta - mean)
+             + soft joint limits.
+
+Category units and radians. P = 6 + J + D. The plain version is in torch, batched, on any device; the fused one
+(``refinement_kernel``) does the same arithmetic one observation at a time without a tensor operation.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+from .geometry import make_transform, skew, so3_exp
+from .kinematics import part_transforms
+from .least_squares import Linearisation, TrustRegionConfig, minimise
+from .prior import OmadPrior
+
+
+@dataclass(frozen=True)
+class RefinementConfig:
+    """What the energy consists of and how it is minimised."""
+
+    prior_weight: float = 1.0
+    """Weight of the Gaussian prior on beta; 0 switches it off."""
+    limit_sigma: float = 0.02
+    """A joint state this far outside its limits (radians or category units) costs as much as a keypoint one sigma off."""
+    huber: float | None = 3.0
+    """Keypoints further than this many sigmas from their targets pull linearly instead of quadratically."""
+    max_iterations: int = 60
+    step_tolerance: float = 1e-7
+    backend: Literal["auto", "torch", "kernel"] = "auto"
+    """'auto': the fused kernel on the CPU, torch elsewhere."""
+
+    @property
+    def trust_region(self) -> TrustRegionConfig:
+        return TrustRegionConfig(
+            max_iterations=self.max_iterations, step_tolerance=self.step_tolerance, huber=self.huber
+        )
+
+
+@dataclass(frozen=True)
+class Targets:
+    keypoints: Tensor
+    """(B, M, 3) where the keypoints are seen, camera frame."""
+    weights: Tensor
+    """(B, M) 1 / sigma^2 of each; 0 leaves one out."""
+
+
+@dataclass(frozen=True)
+class State:
+    """The unknowns of B observations."""
+
+    beta: Tensor
+    """(B, D)."""
+    joint_states: Tensor
+    """(B, J)."""
+    T_camera_base: Tensor
+    """(B, 4, 4)."""
+
+    def select(self, indices: Tensor) -> State:
+        return State(self.beta[indices], self.joint_states[indices], self.T_camera_base[indices])
+
+
+@dataclass(frozen=True)
+class Refined:
+    state: State
+    covariance: Tensor
+    """(B, P, P) of the unknowns in tangent coordinates (omega, t, theta, beta), from J^T J; zero for held ones."""
+    converged: Tensor
+    """(B,) bool."""
+    iterations: Tensor
+    """(B,) int64."""
+    energy: Tensor
+    """(B,) sum of weighted squared keypoint distances."""
+    residual: Tensor
+    """(B,) RMS keypoint distance over the keypoints with weight."""
+
+
+def free_directions(
+    num_joints: int,
+    basis_size: int,
+    hold_beta: bool = False,
+    hold_states: bool = False,
+    hold_rotation: bool = False,
+    hold_translation: bool = False,
+    gravity: tuple[float, float, float] | None = None,
+) -> Tensor:
+    """Columns (P, F) that the solution may move along, float64.
+
+    Held unknowns keep their initial values; with ``gravity`` (its direction in the camera frame) the base only
+    turns about it, so that an initial pose with a true vertical keeps it.
+    """
+    eye = torch.eye(6 + num_joints + basis_size, dtype=torch.float64)
+    rotation = eye[:, :3]
+    if hold_rotation:
+        rotation = eye[:, :0]
+    elif gravity is not None:
+        vertical = torch.tensor(gravity, dtype=torch.float64)
+        rotation = rotation @ (vertical / vertical.norm())[:, None]
+    translation = eye[:, 3 : 3 if hold_translation else 6]
+    states = eye[:, 6 : 6 if hold_states else 6 + num_joints]
+    beta = eye[:, 6 + num_joints : 6 + num_joints if hold_beta else None]
+    return torch.cat([rotation, translation, states, beta], 1)
+
+
+def energy(prior: OmadPrior, state: State, targets: Targets) -> Tensor:
+    """Sum of weighted squared keypoint distances (B,)."""
+    points = prior.deform(state.beta, state.joint_states, state.T_camera_base)
+    return (targets.weights * (points - targets.keypoints).square().sum(-1)).sum(-1)
+
+
+def keypoint_jacobian(prior: OmadPrior, state: State) -> tuple[Tensor, Tensor]:
+    """Camera-space keypoints (B, M, 3) and their derivative (B, M, 3, P) by the unknowns."""
+    tree, part_of, basis = prior.tree, prior.part_of, prior.basis
+    joints = prior.joints(state.beta)
+    axes, pivots = joints.axes, joints.pivots
+    d_axes, d_pivots = _joint_derivatives(prior, state.beta)  # (B, J, 3, D)
+    R, t = state.T_camera_base[:, :3, :3], state.T_camera_base[:, :3, 3]
+    batch, count = len(R), tree.num_joints
+    eye = torch.eye(4, dtype=R.dtype, device=R.device).expand(batch, 4, 4)
+    G = part_transforms(tree, axes, pivots, state.joint_states, eye)  # part -> base frame
+    canonical = prior.keypoints(state.beta)
+
+    A = G[:, part_of, :3, :3]
+    points = (A @ canonical[..., None]).squeeze(-1) + G[:, part_of, :3, 3]  # base frame
+    by_states = torch.zeros(*points.shape, count, dtype=R.dtype, device=R.device)
+    by_beta = torch.einsum("bmij,mjd->bmid", A, basis)
+    for part in range(1, tree.num_parts):
+        members = (part_of == part).nonzero().squeeze(-1)
+        below = canonical[:, members]  # the keypoint in canonical coordinates, before the joint at hand moves it
+        for joint in reversed(tree.path(part)):
+            parent = G[:, tree.parents[joint]]
+            rotation = parent[:, :3, :3]
+            theta = state.joint_states[:, joint, None, None]
+            u, q = axes[:, joint], pivots[:, joint]
+            if tree.types[joint] == "revolute":
+                arm = below - q[:, None]
+                cos, sin = theta.cos(), theta.sin()
+                along = (arm * u[:, None]).sum(-1, keepdim=True)
+                turned = (
+                    cos * arm
+                    + sin * torch.linalg.cross(u[:, None].expand_as(arm), arm)
+                    + (1 - cos) * along * u[:, None]
+                )
+                by_u = -sin[..., None] * skew(arm) + (1 - cos)[..., None] * (
+                    along[..., None] * torch.eye(3, dtype=R.dtype, device=R.device)
+                    + u[:, None, :, None] * arm[..., None, :]
+                )
+                eye3 = torch.eye(3, dtype=R.dtype, device=R.device)
+                F = cos * eye3 + sin * skew(u) + (1 - cos) * u[..., None] * u[:, None]
+                moved = turned + q[:, None]
+                d_theta = torch.linalg.cross(u[:, None].expand_as(arm), turned)
+                d_beta = by_u @ d_axes[:, None, joint] + ((eye3 - F) @ d_pivots[:, joint])[:, None]
+            else:
+                moved = below + theta * u[:, None]
+                d_theta = u[:, None].expand_as(below)
+                d_beta = (theta * d_axes[:, joint])[:, None].expand(-1, len(members), -1, -1)
+            by_states[:, members, :, joint] = d_theta @ rotation.mT
+            by_beta[:, members] += rotation[:, None] @ d_beta
+            below = moved
+    camera = points @ R.mT
+    d_omega = -skew(camera)
+    d_t = torch.eye(3, dtype=R.dtype, device=R.device).expand_as(d_omega)
+    moving = R[:, None] @ torch.cat([by_states, by_beta], -1)
+    return camera + t[:, None], torch.cat([d_omega, d_t, moving], -1)
+
+
+def _joint_derivatives(prior: OmadPrior, beta: Tensor) -> tuple[Tensor, Tensor]:
+    """d axis / d beta and d pivot / d beta, each (B, J, 3, D)."""
+    hidden = prior.joint_hidden(beta)
+    active = (hidden > 0).to(beta.dtype)
+    raw = prior.joint_out(hidden.relu()).unflatten(-1, (-1, 6))
+    slope = prior.joint_out.weight @ (active[..., None] * prior.joint_hidden.weight)
+    slope = slope.unflatten(1, (-1, 6))
+    unnormalised = prior.nominal_axes + raw[..., :3]
+    length = unnormalised.norm(dim=-1, keepdim=True)
+    axis = unnormalised / length
+    eye = torch.eye(3, dtype=beta.dtype, device=beta.device)
+    tangent = (eye - axis[..., None] * axis[..., None, :]) / length[..., None]
+    return tangent @ slope[:, :, :3], slope[:, :, 3:] * prior.revolute[:, None, None]
+
+
+def refine(
+    prior: OmadPrior,
+    targets: Targets,
+    initial: State,
+    limits: Tensor,
+    config: RefinementConfig | None = None,
+    free: Tensor | None = None,
+) -> Refined:
+    """Minimise the energy from ``initial``. ``limits`` (B, J, 2); ``free`` (P, F) from ``free_directions``.
+
+    A problem with NaNs comes back unconverged with its initial values, and changes no other.
+    """
+    config = config or RefinementConfig()
+    if free is None:
+        free = free_directions(prior.tree.num_joints, prior.basis_size)
+    on_cpu = targets.keypoints.device.type == "cpu"
+    if config.backend == "kernel" or (config.backend == "auto" and on_cpu):
+        from .refinement_kernel import refine_with_kernel  # compiled only when it is used
+
+        state, hessian, converged, iterations = refine_with_kernel(prior, targets, initial, limits, config, free)
+    else:
+        state, hessian, converged, iterations = _refine_with_torch(prior, targets, initial, limits, config, free)
+    free = free.to(hessian)
+    covariance = free @ _inverse(hessian) @ free.T
+    with torch.no_grad():
+        squared = (
+            (prior.deform(state.beta, state.joint_states, state.T_camera_base) - targets.keypoints).square().sum(-1)
+        )
+    used = targets.weights > 0
+    mean = (squared * used).sum(-1) / used.sum(-1).clamp(min=1)
+    return Refined(
+        state=state,
+        covariance=covariance,
+        converged=converged,
+        iterations=iterations,
+        energy=(targets.weights * squared).sum(-1),
+        residual=mean.sqrt(),
+    )
+
+
+def whitening(prior: OmadPrior, weight: float) -> Tensor:
+    """(D, D) matrix L with |L (beta - mean)|^2 = weight * squared Mahalanobis distance, float64."""
+    covariance = prior.beta_covariance.double()
+    precision = torch.linalg.inv(
+        covariance + 1e-9 * covariance.diagonal().mean() * torch.eye(len(covariance)).to(covariance)
+    )
+    return torch.linalg.cholesky(weight * precision).mT if weight > 0 else torch.zeros_like(precision)
+
+
+def _inverse(hessian: Tensor) -> Tensor:
+    """Inverse of each positive (semi-)definite matrix; NaN for a broken one."""
+    factor, info = torch.linalg.cholesky_ex(hessian)
+    eye = torch.eye(hessian.shape[-1], dtype=hessian.dtype, device=hessian.device).expand_as(hessian)
+    bad = (info != 0)[:, None, None]
+    inverse = torch.cholesky_solve(eye, torch.where(bad, eye, factor))
+    return torch.where(bad, torch.nan, inverse)
+
+
+@torch.no_grad()
+def _refine_with_torch(prior: OmadPrior, targets: Targets, initial: State, limits: Tensor, config, free: Tensor):
+    like = targets.keypoints
+    joints, count = prior.tree.num_joints, prior.num_keypoints
+    L, free = whitening(prior, config.prior_weight).to(like), free.to(like)
+    root = targets.weights.sqrt()
+
+    def simple_residuals(state: State, index: Tensor) -> Tensor:
+        """Prior and limits: (b, D + J)."""
+        over = (state.joint_states - limits[index, :, 1]).clamp(min=0)
+        under = (state.joint_states - limits[index, :, 0]).clamp(max=0)
+        return torch.cat([(state.beta - prior.beta_mean) @ L.mT, (over + under) / config.limit_sigma], -1)
+
+    def residuals(state: State, index: Tensor) -> Tensor:
+        points = prior.deform(state.beta, state.joint_states, state.T_camera_base)
+        scaled = (root[index, :, None] * (points - targets.keypoints[index])).flatten(1)
+        return torch.cat([scaled, simple_residuals(state, index)], -1)
+
+    def linearise(state: State, index: Tensor) -> Linearisation:
+        points, jacobian = keypoint_jacobian(prior, state)
+        scaled = (root[index, :, None] * (points - targets.keypoints[index])).flatten(1)
+        jacobian = (root[index, :, None, None] * jacobian).flatten(1, 2)
+        simple = simple_residuals(state, index)
+        outside = (simple[:, -joints:] != 0).to(like.dtype) / config.limit_sigma
+        by_beta = torch.cat([like.new_zeros(prior.basis_size, 6 + joints), L], 1).expand(len(index), -1, -1)
+        by_state = torch.nn.functional.pad(torch.diag_embed(outside), (6, prior.basis_size))
+        full = torch.cat([jacobian, by_beta, by_state], 1)
+        return Linearisation(torch.cat([scaled, simple], -1), full @ free)
+
+    def retract(state: State, step: Tensor) -> State:
+        step = step @ free.T
+        T = state.T_camera_base
+        R = so3_exp(step[:, :3]) @ T[:, :3, :3]
+        return State(
+            beta=state.beta + step[:, 6 + joints :],
+            joint_states=state.joint_states + step[:, 6 : 6 + joints],
+            T_camera_base=make_transform(R, T[:, :3, 3] + step[:, 3:6]),
+        )
+
+    def assign(state: State, index: Tensor, part: State) -> None:
+        state.beta[index], state.joint_states[index] = part.beta, part.joint_states
+        state.T_camera_base[index] = part.T_camera_base
+
+    x = State(initial.beta.clone(), initial.joint_states.clone(), initial.T_camera_base.clone())
+    trust = TrustRegionConfig(
+        max_iterations=config.max_iterations,
+        step_tolerance=config.step_tolerance,
+        huber=config.huber,
+        grouped=3 * count,
+    )
+    solution = minimise(linearise, residuals, retract, State.select, assign, x, len(like), like, trust)
+    return solution.x, solution.hessian, solution.converged, solution.iterations
