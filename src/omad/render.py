@@ -14,6 +14,8 @@ NOTHING = 255
 """Label of a pixel that shows no part."""
 NEAR = 1e-3
 """Surfaces nearer than this (metres) are cut off."""
+SLACK = 1e-9
+"""Pixels. Centres this near to an edge belong to the triangles on both sides, so that rounding opens no cracks."""
 
 
 @dataclass(frozen=True)
@@ -63,10 +65,6 @@ def rasterise(vertices: np.ndarray, faces: np.ndarray, labels: np.ndarray, camer
     into = (rendering.depth[box], rendering.labels[box], rendering.cos_view[box])
     _shade(vertices, faces, labels, *intrinsics, inverse, nearest, *into)
     return rendering
-
-
-SLACK = 1e-9
-"""Pixels. Centres this near to an edge belong to the triangles on both sides, so that rounding opens no cracks."""
 
 
 @numba.njit(cache=True, error_model="numpy")

@@ -11,20 +11,45 @@ import torch
 from .camera import STANDARD_CAMERA, Camera
 from .categories import Category
 from .depth_noise import NoiseLevel, add_noise
+from .errors import InputError
 from .objects import ObjectModel
 from .render import NOTHING, render
 from .viewpoints import sample_poses, sample_states
 
 MIN_PIXELS = 500
-"""A view that shows fewer pixels of the object is drawn again."""
+"""A view that shows fewer pixels of the object (before noise) is drawn again."""
 ATTEMPTS = 1000
 
 
 @dataclass(frozen=True)
-class View:
-    """One depth image of an object model, and the truth behind it."""
+class ObjectTruth:
+    """What metrics ask of an object model; canonical space, metres and radians."""
 
-    model: ObjectModel
+    name: str
+    axes: np.ndarray
+    """(J, 3) unit."""
+    pivots: np.ndarray
+    """(J, 3)."""
+    limits: np.ndarray
+    """(J, 2)."""
+    part_boxes: np.ndarray
+    """(K, 2, 3) low and high corners of each part's box at rest."""
+
+    @classmethod
+    def of(cls, model: ObjectModel) -> ObjectTruth:
+        return cls(model.name, model.axes, model.pivots, model.limits, model.part_boxes())
+
+    @property
+    def diagonal(self) -> float:
+        """Diagonal of the whole object's rest box in metres."""
+        return float(np.linalg.norm(self.part_boxes[:, 1].max(0) - self.part_boxes[:, 0].min(0)))
+
+
+@dataclass(frozen=True)
+class View:
+    """One depth image of an object, and the truth behind it."""
+
+    truth: ObjectTruth
     depth: np.ndarray
     """(H, W) float32 metres, 0 where there is no measurement."""
     labels: np.ndarray
@@ -34,10 +59,21 @@ class View:
     """(J,) radians or metres."""
     T_camera_base: np.ndarray
     """(4, 4)."""
+    seed: tuple[int, ...]
+    """What the view was drawn with: (seed, object index, view index) in ``standard_views``."""
+
+    @property
+    def object(self) -> str:
+        """Name of the object."""
+        return self.truth.name
 
 
 def standard_view(model: ObjectModel, category: Category, seed: Sequence[int], noise: NoiseLevel | None = None) -> View:
-    """A random view of ``model``, the same for the same ``seed`` (any integers)."""
+    """A random view of ``model``, the same for the same ``seed`` (any non-negative integers).
+
+    The noise changes the depth only: joint states and pose are those of the noise-free view of the same seed.
+    Raises InputError for an object that is too thin or too small to be seen.
+    """
     rng = np.random.default_rng(list(seed))
     generator = torch.Generator().manual_seed(int(rng.integers(2**62)))
     limits = torch.as_tensor(model.limits, dtype=torch.float64)[None]
@@ -49,20 +85,29 @@ def standard_view(model: ObjectModel, category: Category, seed: Sequence[int], n
         pose = sample_poses(category.views, torch.as_tensor(centre)[None], torch.as_tensor([radius]), generator)
         T_camera_base = pose[0].numpy()
         rendering = render(model, states, T_camera_base, STANDARD_CAMERA)
-        if (rendering.labels != NOTHING).sum() >= MIN_PIXELS:
+        if np.count_nonzero(rendering.depth) >= MIN_PIXELS:
             break
     else:
-        raise RuntimeError(f"{model.name}: no view shows {MIN_PIXELS} pixels of it in {ATTEMPTS} attempts")
-    depth = rendering.depth
-    if noise is not None:
-        depth = add_noise(depth, noise, STANDARD_CAMERA, rng, rendering.cos_view)
-    labels = np.where(depth > 0, rendering.labels, NOTHING).astype(np.uint8)
-    return View(model, depth, labels, STANDARD_CAMERA, states, T_camera_base)
+        raise InputError(
+            f"{model.name}: none of {ATTEMPTS} views shows {MIN_PIXELS} pixels of it; leave this object out"
+        )
+    depth = add_noise(rendering.depth, noise, STANDARD_CAMERA, rng, rendering.cos_view)
+    labels = np.where(depth > 0, rendering.labels, np.uint8(NOTHING))
+    return View(ObjectTruth.of(model), depth, labels, STANDARD_CAMERA, states, T_camera_base, tuple(seed))
+
+
+def view_seed(index: int, objects: int, seed: int) -> tuple[int, int, int]:
+    """(seed, object index, view index) of view ``index``: views are dealt out to the objects in turn.
+
+    So view i is the same however many are drawn.
+    """
+    return seed, index % objects, index // objects
 
 
 def standard_views(
     models: Sequence[ObjectModel], category: Category, views: int, seed: int = 0, noise: NoiseLevel | None = None
 ) -> Iterator[View]:
-    """``views`` in total, dealt out to the models in turn; view i is the same however many are drawn."""
+    """``views`` in total, dealt out to the models in turn."""
     for index in range(views):
-        yield standard_view(models[index % len(models)], category, (seed, index), noise)
+        drawn = view_seed(index, len(models), seed)
+        yield standard_view(models[drawn[1]], category, drawn, noise)
