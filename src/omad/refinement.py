@@ -25,7 +25,7 @@ from torch import Tensor
 
 from .geometry import make_transform, skew, so3_exp
 from .kinematics import part_transforms
-from .least_squares import Linearisation, TrustRegionConfig, minimise
+from .least_squares import Linearisation, RobustKernel, TerminationConfig, minimise
 from .prior import OmadPrior
 
 
@@ -43,12 +43,6 @@ class RefinementConfig:
     step_tolerance: float = 1e-7
     backend: Literal["auto", "torch", "kernel"] = "auto"
     """'auto': the fused kernel on the CPU, torch elsewhere."""
-
-    @property
-    def trust_region(self) -> TrustRegionConfig:
-        return TrustRegionConfig(
-            max_iterations=self.max_iterations, step_tolerance=self.step_tolerance, huber=self.huber
-        )
 
 
 @dataclass(frozen=True)
@@ -254,52 +248,38 @@ def _inverse(hessian: Tensor) -> Tensor:
 @torch.no_grad()
 def _refine_with_torch(prior: OmadPrior, targets: Targets, initial: State, limits: Tensor, config, free: Tensor):
     like = targets.keypoints
-    joints, count = prior.tree.num_joints, prior.num_keypoints
+    joints, size = prior.tree.num_joints, prior.basis_size
     L, free = whitening(prior, config.prior_weight).to(like), free.to(like)
     root = targets.weights.sqrt()
+    by_beta = torch.cat([like.new_zeros(size, 6 + joints), L], 1)
 
-    def simple_residuals(state: State, index: Tensor) -> Tensor:
-        """Prior and limits: (b, D + J)."""
+    def linearise(x: Tensor, index: Tensor) -> Linearisation:
+        state = unpack(x)
+        points, jacobian = keypoint_jacobian(prior, state)
+        seen = (root[index, :, None] * (points - targets.keypoints[index])).flatten(1)
+        by_seen = (root[index, :, None, None] * jacobian).flatten(1, 2)
         over = (state.joint_states - limits[index, :, 1]).clamp(min=0)
         under = (state.joint_states - limits[index, :, 0]).clamp(max=0)
-        return torch.cat([(state.beta - prior.beta_mean) @ L.mT, (over + under) / config.limit_sigma], -1)
+        outside = ((over + under) != 0).to(like.dtype) / config.limit_sigma
+        by_limits = torch.nn.functional.pad(torch.diag_embed(outside), (6, size))
+        residuals = [seen, (state.beta - prior.beta_mean) @ L.mT, (over + under) / config.limit_sigma]
+        full = torch.cat([by_seen, by_beta.expand(len(index), -1, -1), by_limits], 1)
+        return Linearisation(torch.cat(residuals, -1), full @ free)
 
-    def residuals(state: State, index: Tensor) -> Tensor:
-        points = prior.deform(state.beta, state.joint_states, state.T_camera_base)
-        scaled = (root[index, :, None] * (points - targets.keypoints[index])).flatten(1)
-        return torch.cat([scaled, simple_residuals(state, index)], -1)
-
-    def linearise(state: State, index: Tensor) -> Linearisation:
-        points, jacobian = keypoint_jacobian(prior, state)
-        scaled = (root[index, :, None] * (points - targets.keypoints[index])).flatten(1)
-        jacobian = (root[index, :, None, None] * jacobian).flatten(1, 2)
-        simple = simple_residuals(state, index)
-        outside = (simple[:, -joints:] != 0).to(like.dtype) / config.limit_sigma
-        by_beta = torch.cat([like.new_zeros(prior.basis_size, 6 + joints), L], 1).expand(len(index), -1, -1)
-        by_state = torch.nn.functional.pad(torch.diag_embed(outside), (6, prior.basis_size))
-        full = torch.cat([jacobian, by_beta, by_state], 1)
-        return Linearisation(torch.cat([scaled, simple], -1), full @ free)
-
-    def retract(state: State, step: Tensor) -> State:
-        step = step @ free.T
+    def retract(x: Tensor, step: Tensor, index: Tensor) -> Tensor:
+        state, step = unpack(x), step @ free.T
         T = state.T_camera_base
-        R = so3_exp(step[:, :3]) @ T[:, :3, :3]
-        return State(
-            beta=state.beta + step[:, 6 + joints :],
-            joint_states=state.joint_states + step[:, 6 : 6 + joints],
-            T_camera_base=make_transform(R, T[:, :3, 3] + step[:, 3:6]),
-        )
+        pose = make_transform(so3_exp(step[:, :3]) @ T[:, :3, :3], T[:, :3, 3] + step[:, 3:6])
+        moved = State(state.beta + step[:, 6 + joints :], state.joint_states + step[:, 6 : 6 + joints], pose)
+        return pack(moved)
 
-    def assign(state: State, index: Tensor, part: State) -> None:
-        state.beta[index], state.joint_states[index] = part.beta, part.joint_states
-        state.T_camera_base[index] = part.T_camera_base
+    def pack(state: State) -> Tensor:
+        return torch.cat([state.T_camera_base.flatten(1), state.joint_states, state.beta], 1)
 
-    x = State(initial.beta.clone(), initial.joint_states.clone(), initial.T_camera_base.clone())
-    trust = TrustRegionConfig(
-        max_iterations=config.max_iterations,
-        step_tolerance=config.step_tolerance,
-        huber=config.huber,
-        grouped=3 * count,
-    )
-    solution = minimise(linearise, residuals, retract, State.select, assign, x, len(like), like, trust)
-    return solution.x, solution.hessian, solution.converged, solution.iterations
+    def unpack(x: Tensor) -> State:
+        return State(x[:, 16 + joints :], x[:, 16 : 16 + joints], x[:, :16].unflatten(1, (4, 4)))
+
+    termination = TerminationConfig(config.max_iterations, config.step_tolerance)
+    robust = None if config.huber is None else RobustKernel("huber", config.huber, prior.num_keypoints)
+    solution = minimise(linearise, pack(initial), retract, termination=termination, robust=robust)
+    return unpack(solution.x), solution.hessian, solution.converged, solution.iterations
