@@ -48,8 +48,8 @@ LEVELS: dict[str, NoiseLevel | None] = {"off": None, "half": HALF, "on": ON, "do
 """The levels of the robustness tables; None leaves the depth exact."""
 
 EDGE = 0.03
-"""A depth edge is a jump by more than this share of the depth between a pixel and one of its eight neighbours. Just above what
-a plane at the grazing angle shows at 600 pixels of focal length (tan 80 degrees / 600 a pixel, over 2 diagonals)."""
+"""A depth edge is a jump by more than this share of the depth between a pixel and one of its eight neighbours: just
+above what a plane at the grazing angle shows (sqrt 2 tan 80 degrees / 600 pixels of focal length, twice over)."""
 
 
 def add_noise(
@@ -63,8 +63,8 @@ def add_noise(
 
     ``cos_view`` (H, W) is the cosine between surface normal and ray; estimated from the depth if not given.
     """
-    rows, columns = np.nonzero(depth.any(1))[0], np.nonzero(depth.any(0))[0]
     result = depth.astype(np.float32)
+    rows, columns = np.nonzero(result.any(1))[0], np.nonzero(result.any(0))[0]
     if level is None or not len(rows):
         return result
     margin = 1  # the background beside the object makes its outline an edge
@@ -106,12 +106,13 @@ def _edges(depth: np.ndarray) -> np.ndarray:
 
 
 def _blobs(shape: tuple[int, ...], share: float, rng: np.random.Generator) -> np.ndarray:
-    """Random smooth blobs that cover ``share`` of the pixels, some ten pixels across."""
+    """Random smooth blobs, some ten pixels across, that cover ``share`` of the pixels."""
     if share <= 0:
         return np.zeros(shape, dtype=bool)
-    coarse = rng.standard_normal((shape[0] // 4 + 2, shape[1] // 4 + 2), dtype=np.float32)
-    field = ndimage.zoom(ndimage.gaussian_filter(coarse, 1.0), 4, order=1)[: shape[0], : shape[1]]
-    return field > np.quantile(field, 1 - share)
+    coarse = rng.standard_normal((shape[0] // 2 + 1, shape[1] // 2 + 1), dtype=np.float32)
+    field = ndimage.gaussian_filter(coarse, 2.0, mode="wrap")
+    blobs = field > np.quantile(field, 1 - share)
+    return blobs.repeat(2, 0).repeat(2, 1)[: shape[0], : shape[1]]
 
 
 def _cosine(depth: np.ndarray, camera: Camera, top: int, left: int) -> np.ndarray:
@@ -128,14 +129,10 @@ def _cosine(depth: np.ndarray, camera: Camera, top: int, left: int) -> np.ndarra
 
 
 def _slope(depth: np.ndarray, axis: int) -> np.ndarray:
-    """Depth change per pixel, the smaller of the forward and the backward difference; 0 beside no depth on both sides."""
-    step = np.diff(depth, axis=axis)
-    pair = np.minimum(*(np.delete(depth, end, axis) for end in (0, -1)))
-    step = np.where(pair > 0, step, np.inf)
-    pad = [(0, 0), (0, 0)]
-    pad[axis] = (0, 1)
-    forward = np.pad(step, pad, constant_values=np.inf)
-    pad[axis] = (1, 0)
-    backward = np.pad(step, pad, constant_values=np.inf)
+    """Depth change per pixel: the smaller of forward and backward difference, 0 where both neighbours are missing."""
+    line = np.moveaxis(depth, axis, 0)
+    step = np.where(np.minimum(line[1:], line[:-1]) > 0, np.diff(line, axis=0), np.float32(np.inf))
+    end = np.full_like(line[:1], np.inf)
+    forward, backward = np.concatenate([step, end]), np.concatenate([end, step])
     slope = np.where(np.abs(forward) < np.abs(backward), forward, backward)
-    return np.where(np.isfinite(slope), slope, 0.0).astype(np.float32)
+    return np.moveaxis(np.where(np.isfinite(slope), slope, np.float32(0)), 0, axis)

@@ -153,7 +153,7 @@ def _clip_near(triangles: np.ndarray, labels: np.ndarray) -> tuple[np.ndarray, n
                 corners.append(a)
             if (a[2] > NEAR) != (b[2] > NEAR):
                 corners.append(a + (b - a) * (NEAR - a[2]) / (b[2] - a[2]))
-        for second, third in zip(corners[1:], corners[2:]):
-            kept.append(np.stack([corners[0], second, third])[None])
+        for i in range(1, len(corners) - 1):
+            kept.append(np.stack([corners[0], corners[i], corners[i + 1]])[None])
             kept_labels.append(labels[index : index + 1])
     return np.concatenate(kept), np.concatenate(kept_labels)
