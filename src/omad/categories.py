@@ -33,6 +33,10 @@ class JointSpec:
     """Direction in canonical space, signed as the category's state is."""
     limits: tuple[float, float]
     """Radians; for a prismatic joint in category units. Used where an object states none, and to draw views."""
+    reach: tuple[float, float, float] | None = None
+    """Roughly where the child reaches from the joint at rest: pivot to box centre. Tells foreign models' axes apart."""
+    side: tuple[float, float, float] | None = None
+    """Roughly where the child lies from its parent at rest: box centre to box centre."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +93,17 @@ LAPTOP = Category(
         PartSpec("base", 12, mirror=0, aliases=("base", "bottom", "keyboard")),
         PartSpec("screen", 12, mirror=1, aliases=("screen", "top", "lid", "display")),
     ),
-    joints=(JointSpec("hinge", "revolute", 0, (1.0, 0.0, 0.0), (math.radians(-80), math.radians(85))),),
+    joints=(
+        JointSpec(
+            name="hinge",
+            type="revolute",
+            parent=0,
+            axis=(1.0, 0.0, 0.0),
+            limits=(math.radians(-80), math.radians(85)),
+            reach=(0.0, 1.0, 0.0),
+            side=(0.0, 1.0, -1.0),
+        ),
+    ),
     rest=("perpendicular",),
 )
 
@@ -100,7 +114,17 @@ DISHWASHER = Category(
         PartSpec("body", 12, mirror=0, aliases=("body", "cabinet", "frame")),
         PartSpec("door", 12, mirror=1, aliases=("door",)),
     ),
-    joints=(JointSpec("door_hinge", "revolute", 0, (1.0, 0.0, 0.0), (0.0, math.radians(90))),),
+    joints=(
+        JointSpec(
+            name="door_hinge",
+            type="revolute",
+            parent=0,
+            axis=(1.0, 0.0, 0.0),
+            limits=(0.0, math.radians(90)),
+            reach=(0.0, 1.0, 0.0),
+            side=(0.0, 0.0, 1.0),
+        ),
+    ),
     rest=("closed",),
 )
 

@@ -1,0 +1,113 @@
+"""Object models from folders of URDFs: plain ones in metres, and PartNet-Mobility's normalised ones."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from ..alignment import align
+from ..categories import Category
+from ..errors import InputError
+from ..objects import ObjectModel
+from ..urdf import MissingMeshes, RawArticulation, read_articulation
+from .links import label_parts
+
+_PARTNET_URDF = "mobility.urdf"
+_PARTNET_NAMES = "semantics.txt"
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """A model that was not taken in."""
+
+    name: str
+    reason: str
+    """One line."""
+
+
+@dataclass(frozen=True)
+class FolderImport:
+    """What a folder of models gave."""
+
+    models: list[ObjectModel]
+    refused: list[Refusal]
+
+
+def load_folder(
+    folder: Path | str, category: Category, scale: float | None = None, missing_meshes: MissingMeshes = "refuse"
+) -> FolderImport:
+    """Import every object of ``folder``: one itself, or ``.urdf`` files, or one sub-folder an object, by name.
+
+    Arguments as in ``import_model``. Objects that do not fit are listed with the reason.
+    Raises InputError where ``folder`` does not exist or holds no object at all.
+    """
+    folder = Path(folder)
+    if not folder.exists():
+        raise InputError(f"{folder}: no such folder; give a folder of URDF models")
+    models, refused = [], []
+    for source in _objects_in(folder):
+        try:
+            models.append(import_model(source, category, scale, missing_meshes))
+        except InputError as error:
+            refused.append(Refusal(_name(source), str(error)))
+    if not models and not refused:
+        raise InputError(f"{folder}: no .urdf in it or in its sub-folders; give a folder of URDF models")
+    return FolderImport(models, refused)
+
+
+def import_model(
+    path: Path | str, category: Category, scale: float | None = None, missing_meshes: MissingMeshes = "refuse"
+) -> ObjectModel:
+    """Bring one foreign model, a ``.urdf`` or the folder that holds it, to the category's canonical space.
+
+    ``scale`` is metres per unit of the file; left out, PartNet-Mobility folders have the category's and others 1.
+    Raises InputError with the file and the reason where the model is broken or does not fit the category.
+    """
+    path = Path(path)
+    file = _urdf_of(path) if path.is_dir() else path
+    names = file.parent / _PARTNET_NAMES
+    if scale is None:
+        scale = category.metres_per_unit if names.is_file() or file.name == _PARTNET_URDF else 1.0
+    raw = read_articulation(file, scale, missing_meshes)
+    if names.is_file():
+        raw = _with_semantics(raw, names)
+    try:
+        aligned = [align(labelled, category) for labelled in label_parts(raw, category)]
+    except InputError as error:
+        raise InputError(f"{file}: not usable as a {category.name}: {error}") from error
+    return replace(max(aligned, key=lambda a: a.score).model, name=_name(path))
+
+
+def _objects_in(folder: Path) -> list[Path]:
+    if folder.is_file() or (folder / _PARTNET_URDF).is_file():
+        return [folder]
+    files = sorted(folder.glob("*.urdf"))
+    return files or sorted(sub for sub in folder.iterdir() if sub.is_dir() and not sub.name.startswith("."))
+
+
+def _urdf_of(folder: Path) -> Path:
+    if (folder / _PARTNET_URDF).is_file():
+        return folder / _PARTNET_URDF
+    files = sorted(folder.glob("*.urdf"))
+    if len(files) != 1:
+        found = f"{len(files)} .urdf files" if files else "no .urdf file"
+        raise InputError(f"{folder}: {found}, expected one; give the file itself")
+    return files[0]
+
+
+def _name(path: Path) -> str:
+    """An object is called like its folder, a lone file like itself."""
+    if path.name == _PARTNET_URDF:
+        path = path.resolve().parent
+    return path.stem if path.suffix == ".urdf" else path.resolve().name
+
+
+def _with_semantics(raw: RawArticulation, file: Path) -> RawArticulation:
+    """Add the names of semantics.txt, whose lines are: link, kind of joint, name."""
+    lines = [line.split() for line in file.read_text(encoding="utf-8", errors="replace").splitlines()]
+    names = {fields[0]: fields[-1] for fields in lines if len(fields) >= 3}
+    links = [
+        replace(link, names=link.names + tuple(names[name] for name in link.names if name in names))
+        for link in raw.links
+    ]
+    return replace(raw, links=tuple(links))
