@@ -126,8 +126,18 @@ class _CrossSection:
         return self.child @ np.array([[cos, sin], [-sin, cos]])
 
     def box_area(self, state: float) -> float:
-        both = np.concatenate([self.parent, self.child_at(state)])
-        return float(np.prod(np.ptp(both, axis=0)))
+        """Area of the box of both."""
+        low, high = self._corners(state)
+        return float(np.prod(high.max(0) - low.min(0)))
+
+    def overlap(self, state: float) -> float:
+        """Area in which their boxes overlap."""
+        low, high = self._corners(state)
+        return float(np.prod(np.clip(high.min(0) - low.max(0), 0, None)))
+
+    def _corners(self, state: float) -> np.ndarray:
+        """(2, 2, 2) low and high corners of the parent's and of the child's box."""
+        return np.stack([_box(self.parent), _box(self.child_at(state))], 1)
 
 
 def _rest_state(category: Category, joint: int, parent: Mesh, child: Mesh, model: ObjectModel) -> float:
@@ -143,7 +153,8 @@ def _closed_revolute(parent: Mesh, child: Mesh, axis: np.ndarray, pivot: np.ndar
     section = _cross_section(parent, child, axis, pivot)
     states = [_wrapped(state, limits) for state in section.aligned]
     reachable = [state for state in states if _excess(state, limits) < 1.5 * NEAR_LIMIT]
-    closed = min(reachable or states, key=section.box_area)
+    # a door folded into a hollow body would make an even smaller box, but for the overlap
+    closed = min(reachable or states, key=lambda state: section.box_area(state) + 2 * section.overlap(state))
     stated = [limit for limit in limits if abs(limit - closed) < NEAR_LIMIT]
     return float(min(stated, key=lambda limit: abs(limit - closed))) if stated else closed
 
@@ -153,7 +164,8 @@ def _perpendicular(parent: Mesh, child: Mesh, axis: np.ndarray, pivot: np.ndarra
     section = _cross_section(parent, child, axis, pivot)
     closed = min(section.aligned, key=section.box_area)
     lying = section.child_at(closed)
-    reach, offset = _box_centre(lying), _box_centre(lying) - _box_centre(section.parent)
+    reach = _box(lying).mean(0)
+    offset = reach - _box(section.parent).mean(0)
     away = np.array([-reach[1], reach[0]])  # where a positive quarter turn takes the child
     face = int(np.abs(away).argmax())
     outward = 1.0 if away[face] * offset[face] > 0 else -1.0
@@ -206,8 +218,9 @@ def _excess(state: float, limits: np.ndarray) -> float:
     return 0.0 if np.isnan(limits).any() else float(max(limits[0] - state, state - limits[1], 0.0))
 
 
-def _box_centre(points: np.ndarray) -> np.ndarray:
-    return (points.min(0) + points.max(0)) / 2
+def _box(points: np.ndarray) -> np.ndarray:
+    """(2, D) low and high corner."""
+    return np.stack([points.min(0), points.max(0)])
 
 
 # Frames --------------------------------------------------------------------------------------------------------------
