@@ -17,12 +17,15 @@ Category units and radians. P = 6 + J + D. The plain version is in torch, batche
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
 import torch
 from torch import Tensor
 
+from .errors import InputError
 from .geometry import make_transform, skew, so3_exp
 from .kinematics import part_transforms
 from .least_squares import Linearisation, RobustKernel, TerminationConfig, minimise
@@ -36,21 +39,29 @@ class RefinementConfig:
     prior_weight: float = 1.0
     """Weight of the Gaussian prior on beta; 0 switches it off."""
     limit_sigma: float = 0.02
-    """A joint state this far outside its limits (radians or category units) costs as much as a keypoint one sigma off."""
+    """A joint state this far outside its limits (radians or category units) costs what a keypoint a sigma off does."""
     huber: float | None = 3.0
     """Keypoints further than this many sigmas from their targets pull linearly instead of quadratically."""
     max_iterations: int = 60
     step_tolerance: float = 1e-7
+    cost_tolerance: float = 1e-10
+    """See ``least_squares.TerminationConfig``."""
     backend: Literal["auto", "torch", "kernel"] = "auto"
-    """'auto': the fused kernel on the CPU, torch elsewhere."""
+    """'auto': the fused kernel (always float64) on the CPU, torch (in the dtype of the targets) elsewhere."""
+
+    @property
+    def termination(self) -> TerminationConfig:
+        return TerminationConfig(self.max_iterations, self.step_tolerance, self.cost_tolerance)
 
 
 @dataclass(frozen=True)
 class Targets:
+    """Where the keypoints of B observations are seen."""
+
     keypoints: Tensor
-    """(B, M, 3) where the keypoints are seen, camera frame."""
+    """(B, M, 3) camera frame."""
     weights: Tensor
-    """(B, M) 1 / sigma^2 of each; 0 leaves one out."""
+    """(B, M) 1 / sigma^2 of each; 0 leaves one out, whatever its coordinates."""
 
 
 @dataclass(frozen=True)
@@ -64,12 +75,11 @@ class State:
     T_camera_base: Tensor
     """(B, 4, 4)."""
 
-    def select(self, indices: Tensor) -> State:
-        return State(self.beta[indices], self.joint_states[indices], self.T_camera_base[indices])
-
 
 @dataclass(frozen=True)
 class Refined:
+    """What became of B observations."""
+
     state: State
     covariance: Tensor
     """(B, P, P) of the unknowns in tangent coordinates (omega, t, theta, beta), from J^T J; zero for held ones."""
@@ -82,20 +92,59 @@ class Refined:
     residual: Tensor
     """(B,) RMS keypoint distance over the keypoints with weight."""
 
+    @property
+    def std(self) -> Tensor:
+        """(B, P) of the unknowns, in the order of ``covariance``."""
+        return self.covariance.diagonal(dim1=-2, dim2=-1).sqrt()
+
+    @property
+    def rotation_std(self) -> Tensor:
+        """(B, 3) radians about the camera's axes."""
+        return self.std[:, :3]
+
+    @property
+    def translation_std(self) -> Tensor:
+        """(B, 3)."""
+        return self.std[:, 3:6]
+
+    @property
+    def joint_state_std(self) -> Tensor:
+        """(B, J)."""
+        return self.std[:, 6 : 6 + self.state.joint_states.shape[1]]
+
+    @property
+    def beta_std(self) -> Tensor:
+        """(B, D)."""
+        return self.std[:, 6 + self.state.joint_states.shape[1] :]
+
+
+DEFAULT_CONFIG = RefinementConfig()
+
+
+@dataclass(frozen=True)
+class _Solution:
+    """What either backend hands over; ``hessian`` (B, F, F) over the free directions."""
+
+    state: State
+    hessian: Tensor
+    converged: Tensor
+    iterations: Tensor
+
 
 def free_directions(
     num_joints: int,
     basis_size: int,
     hold_beta: bool = False,
-    hold_states: bool = False,
+    hold_states: bool | Sequence[bool] = False,
     hold_rotation: bool = False,
     hold_translation: bool = False,
     gravity: tuple[float, float, float] | None = None,
 ) -> Tensor:
     """Columns (P, F) that the solution may move along, float64.
 
-    Held unknowns keep their initial values; with ``gravity`` (its direction in the camera frame) the base only
-    turns about it, so that an initial pose with a true vertical keeps it.
+    Held unknowns keep their initial values to the last bit; ``hold_states`` may say so joint by joint. With
+    ``gravity`` (its direction in the camera frame) the base only turns about it, so that an initial pose with a
+    true vertical keeps it.
     """
     eye = torch.eye(6 + num_joints + basis_size, dtype=torch.float64)
     rotation = eye[:, :3]
@@ -105,7 +154,10 @@ def free_directions(
         vertical = torch.tensor(gravity, dtype=torch.float64)
         rotation = rotation @ (vertical / vertical.norm())[:, None]
     translation = eye[:, 3 : 3 if hold_translation else 6]
-    states = eye[:, 6 : 6 if hold_states else 6 + num_joints]
+    held = [hold_states] * num_joints if isinstance(hold_states, bool) else list(hold_states)
+    if len(held) != num_joints:
+        raise InputError(f"hold_states: {len(held)} values for {num_joints} joints, give one value for each")
+    states = eye[:, [6 + joint for joint, hold in enumerate(held) if not hold]]
     beta = eye[:, 6 + num_joints : 6 + num_joints if hold_beta else None]
     return torch.cat([rotation, translation, states, beta], 1)
 
@@ -187,44 +239,63 @@ def _joint_derivatives(prior: OmadPrior, beta: Tensor) -> tuple[Tensor, Tensor]:
     return tangent @ slope[:, :, :3], slope[:, :, 3:] * prior.revolute[:, None, None]
 
 
+@torch.no_grad()
 def refine(
     prior: OmadPrior,
     targets: Targets,
     initial: State,
     limits: Tensor,
-    config: RefinementConfig | None = None,
+    config: RefinementConfig = DEFAULT_CONFIG,
     free: Tensor | None = None,
 ) -> Refined:
-    """Minimise the energy from ``initial``. ``limits`` (B, J, 2); ``free`` (P, F) from ``free_directions``.
+    """Minimise the energy from ``initial``. ``limits`` (B, J, 2) or (J, 2); ``free`` (P, F) from ``free_directions``.
 
-    A problem with NaNs comes back unconverged with its initial values, and changes no other.
+    A problem with NaNs comes back unconverged with its initial values, and changes no other. Raises InputError for
+    tensors of the wrong shape and for negative weights.
     """
-    config = config or RefinementConfig()
+    _check(prior, targets, initial, limits)
+    limits = limits.to(targets.keypoints).expand(len(initial.beta), -1, -1)
     if free is None:
         free = free_directions(prior.tree.num_joints, prior.basis_size)
+    left_out = (targets.weights == 0)[..., None]
+    targets = Targets(torch.where(left_out, 0.0, targets.keypoints), targets.weights)
     on_cpu = targets.keypoints.device.type == "cpu"
-    if config.backend == "kernel" or (config.backend == "auto" and on_cpu):
-        from .refinement_kernel import refine_with_kernel  # compiled only when it is used
+    use_kernel = config.backend == "kernel" or (config.backend == "auto" and on_cpu)
+    solve = _solve_with_kernel if use_kernel else _solve_with_torch
+    solution = solve(prior, targets, initial, limits, config, free)
 
-        state, hessian, converged, iterations = refine_with_kernel(prior, targets, initial, limits, config, free)
-    else:
-        state, hessian, converged, iterations = _refine_with_torch(prior, targets, initial, limits, config, free)
-    free = free.to(hessian)
-    covariance = free @ _inverse(hessian) @ free.T
-    with torch.no_grad():
-        squared = (
-            (prior.deform(state.beta, state.joint_states, state.T_camera_base) - targets.keypoints).square().sum(-1)
-        )
-    used = targets.weights > 0
-    mean = (squared * used).sum(-1) / used.sum(-1).clamp(min=1)
+    points = prior.deform(solution.state.beta, solution.state.joint_states, solution.state.T_camera_base)
+    squared = (points - targets.keypoints).square().sum(-1)
+    mean = torch.where(left_out[..., 0], 0.0, squared).sum(-1) / (~left_out).sum((1, 2)).clamp(min=1)
+    directions = free.to(solution.hessian)
     return Refined(
-        state=state,
-        covariance=covariance,
-        converged=converged,
-        iterations=iterations,
+        state=solution.state,
+        covariance=(directions @ _inverse(solution.hessian) @ directions.T).to(squared),
+        converged=solution.converged,
+        iterations=solution.iterations,
         energy=(targets.weights * squared).sum(-1),
         residual=mean.sqrt(),
     )
+
+
+def _check(prior: OmadPrior, targets: Targets, initial: State, limits: Tensor) -> None:
+    batch, keypoints, joints = len(targets.keypoints), prior.num_keypoints, prior.tree.num_joints
+    expected = {
+        "targets.keypoints": (targets.keypoints, (batch, keypoints, 3)),
+        "targets.weights": (targets.weights, (batch, keypoints)),
+        "initial.beta": (initial.beta, (batch, prior.basis_size)),
+        "initial.joint_states": (initial.joint_states, (batch, joints)),
+        "initial.T_camera_base": (initial.T_camera_base, (batch, 4, 4)),
+    }
+    for name, (tensor, wanted) in expected.items():
+        if tensor.shape != wanted:
+            raise InputError(f"{name}: shape {tuple(tensor.shape)}, this prior and batch need {wanted}")
+        if tensor.dtype != prior.learned_basis.dtype:
+            raise InputError(f"{name}: {tensor.dtype}, but the prior is {prior.learned_basis.dtype}; convert one")
+    if limits.shape not in ((joints, 2), (batch, joints, 2)):
+        raise InputError(f"limits: shape {tuple(limits.shape)}, give (J, 2) or (B, J, 2) with J = {joints}")
+    if (targets.weights < 0).any():
+        raise InputError("targets.weights: negative, give 1 / sigma^2 or 0 to leave a keypoint out")
 
 
 def whitening(prior: OmadPrior, weight: float) -> Tensor:
@@ -237,16 +308,47 @@ def whitening(prior: OmadPrior, weight: float) -> Tensor:
 
 
 def _inverse(hessian: Tensor) -> Tensor:
-    """Inverse of each positive (semi-)definite matrix; NaN for a broken one."""
-    factor, info = torch.linalg.cholesky_ex(hessian)
-    eye = torch.eye(hessian.shape[-1], dtype=hessian.dtype, device=hessian.device).expand_as(hessian)
+    """Inverse of each J^T J in float64: very large where a direction is not observed, NaN where it is broken."""
+    hessian = hessian.double()
+    diagonal = hessian.diagonal(dim1=-2, dim2=-1)
+    root = torch.where(diagonal > 0, diagonal, torch.where(diagonal == 0, 1e-12, torch.nan)).sqrt()
+    eye = torch.eye(hessian.shape[-1], dtype=hessian.dtype, device=hessian.device)
+    # Scaled to a unit diagonal, whatever the units, a singular matrix needs only this much to be invertible.
+    factor, info = torch.linalg.cholesky_ex(hessian / (root[..., None] * root[..., None, :]) + 1e-12 * eye)
     bad = (info != 0)[:, None, None]
-    inverse = torch.cholesky_solve(eye, torch.where(bad, eye, factor))
+    inverse = torch.cholesky_inverse(torch.where(bad, eye, factor)) / (root[..., None] * root[..., None, :])
     return torch.where(bad, torch.nan, inverse)
 
 
-@torch.no_grad()
-def _refine_with_torch(prior: OmadPrior, targets: Targets, initial: State, limits: Tensor, config, free: Tensor):
+def _solve_with_kernel(
+    prior: OmadPrior, targets: Targets, initial: State, limits: Tensor, config: RefinementConfig, free: Tensor
+) -> _Solution:
+    from . import refinement_kernel  # compiled only where it is used
+
+    def array(tensor: Tensor) -> np.ndarray:
+        return np.ascontiguousarray(tensor.detach().cpu().numpy(), dtype=np.float64)
+
+    like = targets.keypoints
+    L = whitening(prior, config.prior_weight)
+    problem = refinement_kernel.prepare(prior, L, free, config.limit_sigma, config.huber)
+    observed = array(like), array(targets.weights), array(limits)
+    start = array(initial.T_camera_base), array(initial.joint_states), array(initial.beta)
+    found = refinement_kernel.solve(problem, *observed, *start, config.termination)
+    return _Solution(
+        state=State(
+            beta=torch.as_tensor(found.beta).to(like),
+            joint_states=torch.as_tensor(found.joint_states).to(like),
+            T_camera_base=torch.as_tensor(found.T_camera_base).to(like),
+        ),
+        hessian=torch.as_tensor(found.hessian, device=like.device),
+        converged=torch.as_tensor(found.converged, device=like.device),
+        iterations=torch.as_tensor(found.iterations, device=like.device),
+    )
+
+
+def _solve_with_torch(
+    prior: OmadPrior, targets: Targets, initial: State, limits: Tensor, config: RefinementConfig, free: Tensor
+) -> _Solution:
     like = targets.keypoints
     joints, size = prior.tree.num_joints, prior.basis_size
     L, free = whitening(prior, config.prior_weight).to(like), free.to(like)
@@ -279,7 +381,6 @@ def _refine_with_torch(prior: OmadPrior, targets: Targets, initial: State, limit
     def unpack(x: Tensor) -> State:
         return State(x[:, 16 + joints :], x[:, 16 : 16 + joints], x[:, :16].unflatten(1, (4, 4)))
 
-    termination = TerminationConfig(config.max_iterations, config.step_tolerance)
     robust = None if config.huber is None else RobustKernel("huber", config.huber, prior.num_keypoints)
-    solution = minimise(linearise, pack(initial), retract, termination=termination, robust=robust)
-    return unpack(solution.x), solution.hessian, solution.converged, solution.iterations
+    found = minimise(linearise, pack(initial), retract, termination=config.termination, robust=robust)
+    return _Solution(unpack(found.x), found.hessian, found.converged, found.iterations)

@@ -1,7 +1,11 @@
 """Fused refinement on the CPU: the whole Levenberg-Marquardt of one observation in compiled loops, float64.
 
-Same energy, derivatives and damping as the plain torch version in ``refinement`` (the tests compare them); there
-the time goes to launching tensor operations, here there are none. Keypoints M, joints J, |beta| D, P = 6 + J + D.
+Same energy, derivatives, damping and stopping rules as the plain torch version in ``refinement`` (the tests compare
+them); there the time goes to launching tensor operations, here there are none. Explicit loops rather than array
+expressions, because those take several times longer to compile; compiled code is kept on disk.
+
+Keypoints M, joints J, |beta| D, hidden units H, unknowns P = 6 + J + D as in ``refinement``, free directions F.
+A point of the search is one row x of 12 + J + D numbers: base rotation row by row, translation, joint states, beta.
 """
 
 from __future__ import annotations
@@ -11,15 +15,18 @@ from typing import NamedTuple
 
 import numba
 import numpy as np
-import torch
 from torch import Tensor
 
+from .least_squares import TerminationConfig
 from .prior import OmadPrior
+from .small_matrices import add_skew, cross, inner, rotation, solve_damped, times
 
-_jit = numba.njit(cache=True, error_model="numpy")
+EPSILON = 2.220446049250313e-16
+
+_jit = numba.njit(cache=True, error_model="numpy", nogil=True)
 
 
-class _Problem(NamedTuple):
+class KernelProblem(NamedTuple):
     """Constants of a category, as arrays."""
 
     basis: np.ndarray  # (M, 3, D)
@@ -38,304 +45,291 @@ class _Problem(NamedTuple):
     huber: float  # infinity: plain squares
 
 
-@_jit
-def _joints(c, beta, axes, pivots, d_axes, d_pivots, derivatives):
-    """J(beta) and, where asked, its derivatives (J, 3, D)."""
+class KernelSolution(NamedTuple):
+    """What became of B observations."""
+
+    beta: np.ndarray  # (B, D)
+    joint_states: np.ndarray  # (B, J)
+    T_camera_base: np.ndarray  # (B, 4, 4)
+    hessian: np.ndarray  # (B, F, F) J^T J over the free directions
+    converged: np.ndarray  # (B,) bool
+    iterations: np.ndarray  # (B,)
+
+
+@inner
+def _joints(c, beta, axes, pivots, d_axes, d_pivots):
+    """J(beta) into axes, pivots (J, 3) and its derivatives (J, 3, D)."""
     H, D = c.hidden_weight.shape
-    J = len(c.parents)
-    hidden = c.hidden_bias + c.hidden_weight @ beta
-    for j in range(J):
-        raw = np.empty(6)
-        for o in range(6):
-            total = c.out_bias[6 * j + o]
-            for h in range(H):
-                if hidden[h] > 0.0:
-                    total += c.out_weight[6 * j + o, h] * hidden[h]
-            raw[o] = total
-        direction = c.nominal_axes[j] + raw[:3]
-        length = math.sqrt((direction * direction).sum())
-        axes[j] = direction / length
-        for i in range(3):
-            pivots[j, i] = raw[3 + i] if c.revolute[j] else 0.0
-        if not derivatives:
-            continue
-        slope = np.zeros((6, D))
-        for o in range(6):
-            for h in range(H):
-                if hidden[h] > 0.0:
-                    weight = c.out_weight[6 * j + o, h]
-                    for d in range(D):
-                        slope[o, d] += weight * c.hidden_weight[h, d]
+    hidden, raw, slope = np.empty(H), np.empty(3), np.empty((3, D))
+    for h in range(H):
+        hidden[h] = c.hidden_bias[h]
         for d in range(D):
-            along = axes[j, 0] * slope[0, d] + axes[j, 1] * slope[1, d] + axes[j, 2] * slope[2, d]
+            hidden[h] += c.hidden_weight[h, d] * beta[d]
+    for j in range(len(c.parents)):
+        for first in (0, 3):  # axis, pivot
             for i in range(3):
-                d_axes[j, i, d] = (slope[i, d] - axes[j, i] * along) / length
-                d_pivots[j, i, d] = slope[3 + i, d] if c.revolute[j] else 0.0
+                row = 6 * j + first + i
+                raw[i] = c.out_bias[row]
+                for d in range(D):
+                    slope[i, d] = 0.0
+                for h in range(H):
+                    if hidden[h] > 0.0:
+                        weight = c.out_weight[row, h]
+                        raw[i] += weight * hidden[h]
+                        for d in range(D):
+                            slope[i, d] += weight * c.hidden_weight[h, d]
+            if first == 0:
+                for i in range(3):
+                    raw[i] += c.nominal_axes[j, i]
+                length = math.sqrt(raw[0] ** 2 + raw[1] ** 2 + raw[2] ** 2)
+                for i in range(3):
+                    axes[j, i] = raw[i] / length
+                for d in range(D):
+                    along = axes[j, 0] * slope[0, d] + axes[j, 1] * slope[1, d] + axes[j, 2] * slope[2, d]
+                    for i in range(3):
+                        d_axes[j, i, d] = (slope[i, d] - axes[j, i] * along) / length
+            else:
+                used = 1.0 if c.revolute[j] else 0.0
+                for i in range(3):
+                    pivots[j, i] = used * raw[i]
+                    for d in range(D):
+                        d_pivots[j, i, d] = used * slope[i, d]
 
 
-@_jit
-def _rodrigues(u, angle):
-    c, s = math.cos(angle), math.sin(angle)
-    x, y, z = u[0], u[1], u[2]
-    k = 1.0 - c
-    return np.array(
-        [
-            [c + k * x * x, k * x * y - s * z, k * x * z + s * y],
-            [k * y * x + s * z, c + k * y * y, k * y * z - s * x],
-            [k * z * x - s * y, k * z * y + s * x, c + k * z * z],
-        ]
-    )
-
-
-@_jit
-def _evaluate(c, R, t, states, beta, points, jacobian, derivatives):
-    """Camera-space keypoints (M, 3) and, where asked, their derivative (M, 3, P)."""
+@inner
+def _evaluate(c, x, targets, weights, limits, gradient, hessian):
+    """The energy at x; J^T r (P,) and the lower triangle of J^T J (P, P) are overwritten."""
     M, _, D = c.basis.shape
     J = len(c.parents)
+    S, B, P = 6, 6 + J, 6 + J + D  # where joint states and beta begin
+    states, beta = x[12 : 12 + J], x[12 + J :]
     axes, pivots = np.empty((J, 3)), np.empty((J, 3))
-    d_axes, d_pivots = np.zeros((J, 3, D)), np.zeros((J, 3, D))
-    _joints(c, beta, axes, pivots, d_axes, d_pivots, derivatives)
-    F = np.empty((J, 3, 3))
-    for j in range(J):
-        F[j] = _rodrigues(axes[j], states[j]) if c.revolute[j] else np.eye(3)
+    d_axes, d_pivots = np.empty((J, 3, D)), np.empty((J, 3, D))
+    _joints(c, beta, axes, pivots, d_axes, d_pivots)
 
-    v, moved, du = np.empty(3), np.empty(3), np.empty(3)
-    by_state, by_beta, turned_beta = np.empty((3, J)), np.empty((3, D)), np.empty((3, D))
+    # Part transforms, and each joint carried to the camera frame by its parent part. With R the rotation of the
+    # parent and R' of the child, a point below the joint moves by K (R du) + (R - R') dq; both brackets are made here.
+    G, g = np.empty((J + 1, 3, 3)), np.empty((J + 1, 3))
+    lines, centres, turn, v = np.empty((J, 3)), np.empty((J, 3)), np.empty((3, 3)), np.empty(3)
+    by_axis, by_pivot = np.zeros((J, 3, D)), np.zeros((J, 3, D))
+    for i in range(3):
+        g[0, i] = x[9 + i]
+        for n in range(3):
+            G[0, i, n] = x[3 * i + n]
+    for j in range(J):
+        parent = c.parents[j]
+        R, child, state = G[parent], G[j + 1], states[j]
+        times(R, axes[j], lines[j])
+        times(R, pivots[j], centres[j])
+        angle = state if c.revolute[j] else 0.0
+        rotation(axes[j], math.sin(angle), 1.0 - math.cos(angle), turn)
+        for i in range(3):
+            centres[j, i] += g[parent, i]
+            for n in range(3):
+                child[i, n] = R[i, 0] * turn[0, n] + R[i, 1] * turn[1, n] + R[i, 2] * turn[2, n]
+        times(child, pivots[j], v)
+        slide = 0.0 if c.revolute[j] else state
+        for i in range(3):
+            g[j + 1, i] = centres[j, i] - v[i] + slide * lines[j, i]
+            for n in range(3):
+                lever = R[i, n] - child[i, n]
+                for d in range(D):
+                    by_axis[j, i, d] += R[i, n] * d_axes[j, n, d]
+                    by_pivot[j, i, d] += lever * d_pivots[j, n, d]
+
+    for a in range(P):
+        gradient[a] = 0.0
+        for b in range(P):
+            hessian[a, b] = 0.0
+    cost = 0.0
+    rows, K = np.empty((3, P)), np.empty((3, 3))
+    point, arm, off = np.empty(3), np.empty(3), np.empty(3)
     for m in range(M):
-        for i in range(3):
-            total = 0.0
-            for d in range(D):
-                total += c.basis[m, i, d] * beta[d]
-                by_beta[i, d] = c.basis[m, i, d]
-            v[i] = total
-        by_state[:] = 0.0
+        if weights[m] == 0.0:
+            continue
         part = c.part_of[m]
-        while part > 0:  # from the part's own joint up to the root, carrying point and derivatives along
-            j = part - 1
-            u = axes[j]
-            if c.revolute[j]:
-                arm = v - pivots[j]
-                for i in range(3):
-                    moved[i] = F[j, i, 0] * arm[0] + F[j, i, 1] * arm[1] + F[j, i, 2] * arm[2]
-                if derivatives:
-                    s, k = math.sin(states[j]), 1.0 - math.cos(states[j])
-                    along = u[0] * arm[0] + u[1] * arm[1] + u[2] * arm[2]
-                    for b in range(J):
-                        x, y, z = by_state[0, b], by_state[1, b], by_state[2, b]
-                        for i in range(3):
-                            by_state[i, b] = F[j, i, 0] * x + F[j, i, 1] * y + F[j, i, 2] * z
-                    by_state[0, j] = u[1] * moved[2] - u[2] * moved[1]
-                    by_state[1, j] = u[2] * moved[0] - u[0] * moved[2]
-                    by_state[2, j] = u[0] * moved[1] - u[1] * moved[0]
-                    for d in range(D):
-                        for i in range(3):
-                            du[i] = d_axes[j, i, d]
-                        dot = arm[0] * du[0] + arm[1] * du[1] + arm[2] * du[2]
-                        cross0 = du[1] * arm[2] - du[2] * arm[1]
-                        cross1 = du[2] * arm[0] - du[0] * arm[2]
-                        cross2 = du[0] * arm[1] - du[1] * arm[0]
-                        x = by_beta[0, d] - d_pivots[j, 0, d]
-                        y = by_beta[1, d] - d_pivots[j, 1, d]
-                        z = by_beta[2, d] - d_pivots[j, 2, d]
-                        for i in range(3):
-                            cross = cross0 if i == 0 else (cross1 if i == 1 else cross2)
-                            turned_beta[i, d] = (
-                                F[j, i, 0] * x
-                                + F[j, i, 1] * y
-                                + F[j, i, 2] * z
-                                + d_pivots[j, i, d]
-                                + s * cross
-                                + k * (along * du[i] + u[i] * dot)
-                            )
-                    by_beta[:] = turned_beta
-                for i in range(3):
-                    v[i] = moved[i] + pivots[j, i]
-            else:
-                for i in range(3):
-                    v[i] += states[j] * u[i]
-                    by_state[i, j] = u[i]
-                    for d in range(D):
-                        by_beta[i, d] += states[j] * d_axes[j, i, d]
-            part = c.parents[j]
-        x, y, z = v[0], v[1], v[2]
         for i in range(3):
-            moved[i] = R[i, 0] * x + R[i, 1] * y + R[i, 2] * z
-            points[m, i] = moved[i] + t[i]
-        if derivatives:
-            J_m = jacobian[m]
-            J_m[0, 0], J_m[0, 1], J_m[0, 2] = 0.0, moved[2], -moved[1]
-            J_m[1, 0], J_m[1, 1], J_m[1, 2] = -moved[2], 0.0, moved[0]
-            J_m[2, 0], J_m[2, 1], J_m[2, 2] = moved[1], -moved[0], 0.0
+            v[i] = 0.0
+            for d in range(D):
+                v[i] += c.basis[m, i, d] * beta[d]
+            for a in range(P):
+                rows[i, a] = 0.0
+            rows[i, 3 + i] = 1.0
+        times(G[part], v, point)
+        for i in range(3):
+            point[i] += g[part, i]
+            off[i] = point[i] - targets[m, i]
+            arm[i] = g[0, i] - point[i]
+            for n in range(3):
+                for d in range(D):
+                    rows[i, B + d] += G[part, i, n] * c.basis[m, n, d]
+        add_skew(1.0, arm, rows)
+        while part > 0:  # every joint between the keypoint and the root
+            j = part - 1
+            part = c.parents[j]
+            u = lines[j]
             for i in range(3):
                 for n in range(3):
-                    J_m[i, 3 + n] = 1.0 if i == n else 0.0
-                for b in range(J):
-                    J_m[i, 6 + b] = R[i, 0] * by_state[0, b] + R[i, 1] * by_state[1, b] + R[i, 2] * by_state[2, b]
-                for d in range(D):
-                    J_m[i, 6 + J + d] = R[i, 0] * by_beta[0, d] + R[i, 1] * by_beta[1, d] + R[i, 2] * by_beta[2, d]
-
-
-@_jit
-def _outside(state, low, high):
-    return max(state - high, 0.0) + min(state - low, 0.0)
-
-
-@_jit
-def _cost(c, points, targets, weights, states, beta, limits):
-    total = 0.0
-    k = c.huber
-    for m in range(len(points)):
-        if weights[m] > 0.0:
-            dx, dy, dz = points[m, 0] - targets[m, 0], points[m, 1] - targets[m, 1], points[m, 2] - targets[m, 2]
-            s = weights[m] * (dx * dx + dy * dy + dz * dz)
-            total += s if not s > k * k else 2.0 * k * math.sqrt(s) - k * k
-    white = c.whitening @ (beta - c.beta_mean)
-    total += (white * white).sum()
-    for j in range(len(states)):
-        over = c.limit_weight * _outside(states[j], limits[j, 0], limits[j, 1])
-        total += over * over
-    return total
-
-
-@_jit
-def _normal_equations(c, points, jacobian, targets, weights, states, beta, limits, A, g):
-    """J^T W J and J^T W r over the free directions."""
-    M, _, P = jacobian.shape
-    J = len(states)
-    full, gradient = np.zeros((P, P)), np.zeros(P)
-    k = c.huber
-    for m in range(M):
-        w = weights[m]
-        if not w > 0.0:
-            continue
-        r = points[m] - targets[m]
-        s = w * (r[0] * r[0] + r[1] * r[1] + r[2] * r[2])
-        if s > k * k:
-            w *= k / math.sqrt(s)
-        for i in range(3):
-            row = jacobian[m, i]
-            for a in range(P):
-                scaled = w * row[a]
-                gradient[a] += scaled * r[i]
-                for b in range(a + 1):
-                    full[a, b] += scaled * row[b]
-    for a in range(P):
-        for b in range(a):
-            full[b, a] = full[a, b]
-    full[6 + J :, 6 + J :] += c.whitening.T @ c.whitening
-    gradient[6 + J :] += c.whitening.T @ (c.whitening @ (beta - c.beta_mean))
-    for j in range(J):
-        over = _outside(states[j], limits[j, 0], limits[j, 1])
-        if over != 0.0:
-            full[6 + j, 6 + j] += c.limit_weight**2
-            gradient[6 + j] += c.limit_weight**2 * over
-    A[:] = c.free.T @ full @ c.free
-    g[:] = c.free.T @ gradient
-
-
-@_jit
-def _solve(A, g, mu, step):
-    """step = -(A + mu diag A)^-1 g by Cholesky; False where that is not positive definite."""
-    n = len(g)
-    L = np.zeros((n, n))
-    for i in range(n):
-        for j in range(i + 1):
-            total = A[i, j]
-            if i == j:
-                total += mu * max(A[i, i], 1e-9)
-            for k in range(j):
-                total -= L[i, k] * L[j, k]
-            if i == j:
-                if not total > 0.0:
-                    return False
-                L[i, i] = math.sqrt(total)
+                    K[i, n] = 0.0
+            if c.revolute[j]:
+                for i in range(3):
+                    arm[i] = point[i] - centres[j, i]
+                cross(u, arm, v)
+                s, k = math.sin(states[j]), 1.0 - math.cos(states[j])
+                along = u[0] * arm[0] + u[1] * arm[1] + u[2] * arm[2]
+                for i in range(3):
+                    rows[i, S + j] = v[i]
+                    arm[i] += k * (along * u[i] - arm[i]) - s * v[i]  # as it was before the joint turned it
+                for i in range(3):
+                    for n in range(3):
+                        K[i, n] = k * u[i] * arm[n]
+                    K[i, i] += k * along
+                add_skew(-s, arm, K)
             else:
-                L[i, j] = total / L[j, j]
-    for i in range(n):
-        total = -g[i]
-        for k in range(i):
-            total -= L[i, k] * step[k]
-        step[i] = total / L[i, i]
-    for i in range(n - 1, -1, -1):
-        total = step[i]
-        for k in range(i + 1, n):
-            total -= L[k, i] * step[k]
-        step[i] = total / L[i, i]
-    return True
+                for i in range(3):
+                    rows[i, S + j] = u[i]
+                    K[i, i] = states[j]
+            for i in range(3):
+                for d in range(D):
+                    rows[i, B + d] += by_pivot[j, i, d]
+                for n in range(3):
+                    for d in range(D):
+                        rows[i, B + d] += K[i, n] * by_axis[j, n, d]
+        w = weights[m]
+        squared = w * (off[0] ** 2 + off[1] ** 2 + off[2] ** 2)
+        if squared > c.huber**2:
+            length = math.sqrt(squared)
+            w *= c.huber / length
+            squared = c.huber * (2.0 * length - c.huber)
+        cost += squared
+        for i in range(3):
+            for a in range(P):
+                scaled = w * rows[i, a]
+                gradient[a] += scaled * off[i]
+                for b in range(a + 1):
+                    hessian[a, b] += scaled * rows[i, b]
+
+    for i in range(D):  # c.whitening is upper triangular
+        white = 0.0
+        for d in range(i, D):
+            white += c.whitening[i, d] * (beta[d] - c.beta_mean[d])
+        cost += white * white
+        for a in range(i, D):
+            gradient[B + a] += c.whitening[i, a] * white
+            for b in range(i, a + 1):
+                hessian[B + a, B + b] += c.whitening[i, a] * c.whitening[i, b]
+    for j in range(J):
+        outside = max(states[j] - limits[j, 1], 0.0) + min(states[j] - limits[j, 0], 0.0)
+        if outside != 0.0:
+            weight = c.limit_weight**2
+            cost += weight * outside**2
+            gradient[S + j] += weight * outside
+            hessian[S + j, S + j] += weight
+    return cost
 
 
-@_jit
-def _minimise(c, targets, weights, limits, R, t, states, beta, A, max_iterations, step_tolerance):
-    """One observation; R, t, states, beta are moved in place and A receives J^T J. Returns (converged, iterations)."""
-    M, _, D = c.basis.shape
-    J, F = len(states), c.free.shape[1]
-    P = 6 + J + D
-    points, jacobian = np.empty((M, 3)), np.zeros((M, 3, P))
-    g, step = np.empty(F), np.empty(F)
-    _evaluate(c, R, t, states, beta, points, jacobian, True)
-    cost = _cost(c, points, targets, weights, states, beta, limits)
-    _normal_equations(c, points, jacobian, targets, weights, states, beta, limits, A, g)
-    if not math.isfinite(cost):
-        return False, 0
-    mu, growth = 1e-3, 2.0
-    for iteration in range(1, max_iterations + 1):
-        if not _solve(A, g, mu, step):
-            mu, growth = mu * growth, 2.0 * growth
-            if mu > 1e12:
-                return False, iteration
-            continue
-        move = c.free @ step
-        angle = math.sqrt(move[0] ** 2 + move[1] ** 2 + move[2] ** 2)
-        R_new = _rodrigues(move[:3] / angle, angle) @ R if angle > 0.0 else R.copy()
-        t_new = t + move[3:6]
-        states_new = states + move[6 : 6 + J]
-        beta_new = beta + move[6 + J :]
-        _evaluate(c, R_new, t_new, states_new, beta_new, points, jacobian, False)
-        new_cost = _cost(c, points, targets, weights, states_new, beta_new, limits)
-        promised, largest = 0.0, 0.0
-        for i in range(F):
-            promised += step[i] * (mu * max(A[i, i], 1e-9) * step[i] - g[i])
-            largest = max(largest, abs(step[i]))
-        # see least_squares.minimise for why the damping follows the gain ratio
-        accepted = new_cost < cost
-        if accepted:
-            gain = (cost - new_cost) / max(promised, 1e-300)
-            mu = max(mu * min(max(1.0 - (2.0 * gain - 1.0) ** 3, 1.0 / 3.0), 2.0), 1e-12)
-            growth = 2.0
-            small_gain = cost - new_cost <= 1e-10 * cost
-            R[:], t[:], states[:], beta[:] = R_new, t_new, states_new, beta_new
-            cost = new_cost
-            _evaluate(c, R, t, states, beta, points, jacobian, True)
-            _normal_equations(c, points, jacobian, targets, weights, states, beta, limits, A, g)
-            if small_gain:
-                return True, iteration
+@inner
+def _project(free, gradient, hessian, work, g, A):
+    """Gradient and (from its lower triangle) hessian over the free directions: g (F,), A (F, F); work (P, F)."""
+    P, F = free.shape
+    for a in range(P):
+        for f in range(F):
+            work[a, f] = 0.0
+        for b in range(P):
+            value = hessian[a, b] if b <= a else hessian[b, a]
+            for f in range(F):
+                work[a, f] += value * free[b, f]
+    for e in range(F):
+        g[e] = 0.0
+        for f in range(F):
+            A[e, f] = 0.0
+        for a in range(P):
+            if free[a, e] != 0.0:
+                g[e] += free[a, e] * gradient[a]
+                for f in range(F):
+                    A[e, f] += free[a, e] * work[a, f]
+
+
+@inner
+def _retract(free, x, step, turn, out):
+    """Move x by ``step`` (F,) along the free directions, into ``out``; what no direction reaches keeps its bits."""
+    P, F = free.shape
+    omega = np.zeros(3)
+    for a in range(P):
+        move = 0.0
+        for f in range(F):
+            move += free[a, f] * step[f]
+        if a < 3:
+            omega[a] = move
         else:
-            mu, growth = mu * growth, 2.0 * growth
-        if largest < step_tolerance:
-            return True, iteration
-        if mu > 1e12:
-            return False, iteration
-    return False, max_iterations
+            out[6 + a] = x[6 + a] + move
+    squared = omega[0] ** 2 + omega[1] ** 2 + omega[2] ** 2
+    if squared < 1e-8:
+        rotation(omega, 1.0 - squared / 6.0, 0.5 - squared / 24.0, turn)
+    else:
+        angle = math.sqrt(squared)
+        rotation(omega, math.sin(angle) / angle, (1.0 - math.cos(angle)) / squared, turn)
+    for i in range(3):
+        for n in range(3):
+            out[3 * i + n] = turn[i, 0] * x[n] + turn[i, 1] * x[3 + n] + turn[i, 2] * x[6 + n]
 
 
 @_jit
-def _minimise_all(c, targets, weights, limits, R, t, states, beta, A, converged, iterations, most, tolerance):
-    for b in range(len(R)):
-        converged[b], iterations[b] = _minimise(
-            c, targets[b], weights[b], limits[b], R[b], t[b], states[b], beta[b], A[b], most, tolerance
-        )
+def _minimise_all(c, targets, weights, limits, points, hessians, converged, iterations, most, smallest, share):
+    """Rows of ``points`` are moved in place; ``hessians`` receive J^T J over the free directions."""
+    P, F = c.free.shape
+    gradient, hessian, work, turn = np.empty(P), np.empty((P, P)), np.empty((P, F)), np.empty((3, 3))
+    g, step, extra = np.empty(F), np.empty(F), np.empty(F)
+    L, trial = np.empty((F, F)), np.empty(points.shape[1])
+    for o in range(len(points)):
+        x, A = points[o], hessians[o]
+        cost = _evaluate(c, x, targets[o], weights[o], limits[o], gradient, hessian)
+        _project(c.free, gradient, hessian, work, g, A)
+        damping, growth = 1e-3, 2.0
+        while math.isfinite(cost) and iterations[o] < most and damping <= 1e12 and not converged[o]:
+            iterations[o] += 1
+            largest = 0.0
+            for f in range(F):
+                largest = max(largest, A[f, f])
+            for f in range(F):
+                scale = max(A[f, f], 1e-9 * largest)
+                extra[f] = damping * (scale if scale > 0.0 else 1.0)
+            # see least_squares.minimise for why the damping follows the gain ratio
+            accepted = False
+            if solve_damped(A, extra, g, L, step):
+                _retract(c.free, x, step, turn, trial)
+                new_cost = _evaluate(c, trial, targets[o], weights[o], limits[o], gradient, hessian)
+                gained, promised, longest = cost - new_cost, 0.0, 0.0
+                for f in range(F):
+                    promised += step[f] * (extra[f] * step[f] - g[f])
+                    longest = max(longest, abs(step[f]))
+                accepted = gained > 0.0
+                if accepted:
+                    converged[o] = longest < smallest or gained < share * cost
+                    damping *= max(1.0 - (2.0 * gained / promised - 1.0) ** 3, 1.0 / 3.0)
+                    growth = 2.0
+                    cost = new_cost
+                    _project(c.free, gradient, hessian, work, g, A)
+                    for a in range(len(x)):
+                        x[a] = trial[a]
+                else:
+                    converged[o] = promised <= 8.0 * EPSILON * cost  # rounding may hide the last decrease
+            if not accepted:
+                damping *= growth
+                growth *= 2.0
 
 
-def refine_with_kernel(prior: OmadPrior, targets, initial, limits: Tensor, config, free: Tensor):
-    """Same contract as the torch version; arguments and results as ``refinement.refine`` uses them."""
-    from .refinement import State, whitening
+def prepare(
+    prior: OmadPrior, whitening: Tensor, free: Tensor, limit_sigma: float, huber: float | None
+) -> KernelProblem:
+    """The prior and the energy's constants as float64 arrays; see ``refinement`` for their meaning."""
 
     def array(tensor: Tensor) -> np.ndarray:
-        return np.ascontiguousarray(tensor.detach().cpu().numpy().astype(np.float64))
+        return np.ascontiguousarray(tensor.detach().cpu().numpy(), dtype=np.float64)
 
-    problem = _Problem(
+    return KernelProblem(
         basis=array(prior.basis),
-        part_of=prior.part_of.cpu().numpy().astype(np.int64),
+        part_of=prior.part_of.cpu().numpy(),
         parents=np.array(prior.tree.parents, dtype=np.int64),
         revolute=prior.revolute.cpu().numpy(),
         hidden_weight=array(prior.joint_hidden.weight),
@@ -344,26 +338,34 @@ def refine_with_kernel(prior: OmadPrior, targets, initial, limits: Tensor, confi
         out_bias=array(prior.joint_out.bias),
         nominal_axes=array(prior.nominal_axes),
         beta_mean=array(prior.beta_mean),
-        whitening=array(whitening(prior, config.prior_weight)),
+        whitening=array(whitening),
         free=array(free),
-        limit_weight=1 / config.limit_sigma,
-        huber=math.inf if config.huber is None else config.huber,
+        limit_weight=1 / limit_sigma,
+        huber=math.inf if huber is None else huber,
     )
-    pose = array(initial.T_camera_base)
-    R, t = pose[:, :3, :3].copy(), pose[:, :3, 3].copy()
-    states, beta = array(initial.joint_states).copy(), array(initial.beta).copy()
-    batch, directions = len(R), free.shape[1]
-    A = np.full((batch, directions, directions), np.nan)
+
+
+def solve(
+    problem: KernelProblem,
+    targets: np.ndarray,
+    weights: np.ndarray,
+    limits: np.ndarray,
+    poses: np.ndarray,
+    states: np.ndarray,
+    beta: np.ndarray,
+    termination: TerminationConfig,
+) -> KernelSolution:
+    """Solve every observation, float64 arrays: targets (B, M, 3), weights (B, M), limits (B, J, 2) and the starting
+    values poses (B, 4, 4), states (B, J), beta (B, D)."""
+    batch, directions = len(poses), problem.free.shape[1]
+    points = np.concatenate([poses[:, :3, :3].reshape(batch, 9), poses[:, :3, 3], states, beta], 1)
+    hessian = np.empty((batch, directions, directions))
     converged, iterations = np.zeros(batch, dtype=np.bool_), np.zeros(batch, dtype=np.int64)
     _minimise_all(
-        problem, array(targets.keypoints), array(targets.weights), array(limits), R, t, states, beta, A,
-        converged, iterations, config.max_iterations, config.step_tolerance,
+        problem, targets, weights, limits, points, hessian, converged, iterations,
+        termination.max_iterations, termination.step_tolerance, termination.cost_tolerance,
     )  # fmt: skip
-    pose[:, :3, :3], pose[:, :3, 3] = R, t
-    like = targets.keypoints
-
-    def tensor(values: np.ndarray) -> Tensor:
-        return torch.as_tensor(values).to(like)
-
-    state = State(beta=tensor(beta), joint_states=tensor(states), T_camera_base=tensor(pose))
-    return state, tensor(A), torch.as_tensor(converged), torch.as_tensor(iterations)
+    joints = states.shape[1]
+    poses = poses.copy()
+    poses[:, :3, :3], poses[:, :3, 3] = points[:, :9].reshape(batch, 3, 3), points[:, 9:12]
+    return KernelSolution(points[:, 12 + joints :], points[:, 12 : 12 + joints], poses, hessian, converged, iterations)
