@@ -14,88 +14,106 @@ SAMPLES = 3000
 HYPOTHESES = 1000
 COARSE, FINE = 0.01, 0.002
 """Thickness of a plane as a share of the distance: while searching, and at least when done (depth noise widens it)."""
-MIN_SHARE = 0.1
-"""A plane holds at least this share of the points."""
+MIN_SHARE = (0.1, 0.03, 0.03)
+"""Least share of the points on the first plane (table or floor) and on the further ones (walls)."""
 MAX_BEHIND = 0.02
 """A table, floor or wall has at most this share of all points behind it; an object's own faces have the table there."""
-MAX_PLANES = 3
+MAX_COSINE = 0.5
+"""Between the normals of two planes: walls are steep to the floor, and what is parallel to the table lies on it."""
+BORDER = 0.03
+"""Centrality (see ``_centrality``) that a wall's points fall below: it runs out of the frame, an object seldom does."""
 VOXEL = 0.02
-"""Cluster resolution as a share of the median distance: parts nearer than about twice this are one object."""
+"""Cluster resolution as a share of the median distance: what is nearer than about twice this is one thing."""
+SPARSE = 0.1
+"""Voxels with fewer points than this share of the median hold noise."""
+GAP = 0.1
+"""Clusters this near to the chosen one, as a share of its size, are parts of it."""
 RIVAL = 0.5
-"""Another cluster with this share of the largest one's points makes the choice doubtful."""
+"""Another cluster with this share of the chosen one's weight makes the choice doubtful."""
 
 
 @dataclass(frozen=True)
 class Segment:
-    """The largest thing in front of the supporting planes."""
+    """The most prominent thing in front of the supporting planes."""
 
     selected: np.ndarray
     """(N,) bool."""
     planes: np.ndarray
     """(P, 4) n and d of the planes n . p = d taken away, n towards the camera; empty where none was found."""
     rival: float
-    """Size of the second largest cluster as a share of the largest."""
+    """Weight of the second cluster as a share of the chosen one's."""
 
 
 def segment_on_plane(points: np.ndarray) -> Segment:
-    """Find tables, floors and walls in a camera-frame cloud (N, 3) and select the largest cluster in front of them.
+    """Find table, floor and walls in a camera-frame cloud (N, 3) and select the most prominent cluster before them.
 
-    Deterministic: the same cloud gives the same answer.
+    A cluster's weight is its number of points, those in the middle of the frame counting most. Deterministic: the
+    same cloud gives the same answer.
     """
     rng = np.random.default_rng(0)
     distance = np.linalg.norm(points, axis=1)
+    scale = distance**2 / np.median(distance)  # the errors of stereo grow with the square of the distance
+    central = _centrality(points)
     left = np.ones(len(points), dtype=bool)
     planes: list[np.ndarray] = []
-    for _ in range(MAX_PLANES):
-        plane = _find_plane(points, distance, left, rng)
+    for share in MIN_SHARE:
+        plane = _find_plane(points, scale, left, share, planes, rng)
         if plane is None:
             break
-        height = points @ plane[:3] - plane[3]
-        left &= height > _thickness(height, distance) * distance
+        height = (points @ plane[:3] - plane[3]) / scale
+        thickness = _thickness(height)
+        if planes and central[left & (np.abs(height) < thickness)].min(initial=1.0) > BORDER:
+            break
+        left &= height > thickness
         planes.append(plane)
-    labels = _clusters(points[left])
-    sizes = np.bincount(labels) if len(labels) else np.zeros(1, dtype=int)
-    order = np.argsort(-sizes, kind="stable")
+    chosen, rival = _prominent_cluster(points[left], central[left])
     selected = np.zeros(len(points), dtype=bool)
-    selected[left] = labels == order[0]
-    rival = float(sizes[order[1]] / sizes[order[0]]) if len(sizes) > 1 else 0.0
+    selected[np.nonzero(left)[0][chosen]] = True
     return Segment(selected, np.array(planes).reshape(-1, 4), rival)
 
 
 def _find_plane(
-    points: np.ndarray, distance: np.ndarray, left: np.ndarray, rng: np.random.Generator
+    points: np.ndarray,
+    scale: np.ndarray,
+    left: np.ndarray,
+    min_share: float,
+    before: list[np.ndarray],
+    rng: np.random.Generator,
 ) -> np.ndarray | None:
-    """(4,) the plane with most of the points ``left`` and hardly any of all points behind it, by RANSAC."""
+    """(4,) the plane with most of the points ``left`` and hardly any of all points behind it, by RANSAC.
+
+    It is steep to all planes found ``before``; None where there is no such plane.
+    """
     if left.sum() < 3:
         return None
-    all_points = rng.choice(len(points), min(SAMPLES, len(points)), replace=False)
-    candidates = rng.choice(np.nonzero(left)[0], (HYPOTHESES, 3))
-    a, b, c = (points[candidates[:, i]] for i in range(3))
-    normals = np.cross(b - a, c - a)
-    length = np.linalg.norm(normals, axis=1)
-    normals, a = normals[length > 0] / length[length > 0, None], a[length > 0]
-    offsets = np.einsum("hi,hi->h", normals, a)
+    sample = rng.choice(len(points), min(SAMPLES, len(points)), replace=False)
+    corners = points[rng.choice(np.nonzero(left)[0], (HYPOTHESES, 3))]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+    offsets = np.einsum("hi,hi->h", normals, corners[:, 0])
     towards = np.where(offsets > 0, -1.0, 1.0)  # the camera is the origin: its height above the plane is -d
     normals, offsets = normals * towards[:, None], offsets * towards
-    heights = (points[all_points] @ normals.T - offsets) / distance[all_points, None]
-    on_plane = ((np.abs(heights) < COARSE) & left[all_points, None]).mean(0)
-    behind = (heights < -2 * COARSE).mean(0)
-    on_plane[behind > MAX_BEHIND] = 0.0
-    if not len(on_plane) or on_plane.max() < MIN_SHARE:
+
+    heights = (points[sample] @ normals.T - offsets) / scale[sample, None]
+    share = ((np.abs(heights) < COARSE) & left[sample, None]).mean(0)
+    allowed = (normals != 0).any(1) & ((heights < -2 * COARSE).mean(0) <= MAX_BEHIND)
+    for other in before:
+        allowed &= np.abs(normals @ other[:3]) < MAX_COSINE
+    share[~allowed] = 0.0
+    best = int(share.argmax())
+    if share[best] < min_share:
         return None
-    best = int(on_plane.argmax())
     plane = np.append(normals[best], offsets[best])
     for _ in range(3):
-        height = points @ plane[:3] - plane[3]
-        plane = _fit(points[left & (np.abs(height) < _thickness(height, distance) * distance)], plane)
+        height = (points @ plane[:3] - plane[3]) / scale
+        plane = _fit(points[left & (np.abs(height) < _thickness(height))], plane)
     return plane
 
 
-def _thickness(height: np.ndarray, distance: np.ndarray) -> float:
-    """Half thickness of a plane, as a share of the distance, from the scatter of the points on it."""
-    relative = np.abs(height) / distance
-    relative = relative[relative < COARSE]
-    sigma = 1.4826 * float(np.median(relative)) if len(relative) else 0.0
+def _thickness(height: np.ndarray) -> float:
+    """Half thickness of a plane, from the scatter of the points on it; all relative."""
+    near = np.abs(height)[np.abs(height) < COARSE]
+    sigma = 1.4826 * float(np.median(near)) if len(near) else 0.0
     return float(np.clip(3 * sigma, FINE, COARSE))
 
 
@@ -104,18 +122,43 @@ def _fit(points: np.ndarray, before: np.ndarray) -> np.ndarray:
     if len(points) < 3:
         return before
     centre = points.mean(0)
-    covariance = (points - centre).T @ (points - centre)
-    normal = np.linalg.eigh(covariance)[1][:, 0]
+    normal = np.linalg.eigh((points - centre).T @ (points - centre))[1][:, 0]
     normal = normal if normal @ before[:3] > 0 else -normal
     return np.append(normal, normal @ centre)
 
 
-def _clusters(points: np.ndarray) -> np.ndarray:
-    """(N,) cluster index of every point: occupied voxels that touch are one cluster."""
+def _centrality(points: np.ndarray) -> np.ndarray:
+    """(N,) 1 in the middle of the frame, falling to 0 at its border; the frame is what all the points span."""
+    ray = points[:, :2] / np.maximum(points[:, 2:], 1e-9)
+    low, high = np.quantile(ray, 0.001, axis=0), np.quantile(ray, 0.999, axis=0)
+    place = (ray - low) / np.maximum(high - low, 1e-9) * 2 - 1
+    return (1 - np.minimum(np.abs(place), 1)).prod(1)
+
+
+def _prominent_cluster(points: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, float]:
+    """(N,) bool of the heaviest cluster, with its own outlying pieces, and the next one's share of its weight.
+
+    Occupied voxels that touch are one cluster.
+    """
     if not len(points):
-        return np.zeros(0, dtype=np.int64)
-    size = VOXEL * float(np.median(np.linalg.norm(points, axis=1)))
-    cells, cell_of = np.unique(np.floor(points / size).astype(np.int64), axis=0, return_inverse=True)
+        return np.zeros(0, dtype=bool), 0.0
+    voxel = VOXEL * float(np.median(np.linalg.norm(points, axis=1)))
+    cells, cell_of, count = np.unique(
+        np.floor(points / voxel).astype(np.int64), axis=0, return_inverse=True, return_counts=True
+    )
+    cell_of = cell_of.ravel()
+    dense = count >= SPARSE * np.median(count[cell_of])
     pairs = KDTree(cells).query_pairs(1.8, output_type="ndarray")  # face, edge and corner neighbours
+    pairs = pairs[dense[pairs].all(1)]
     links = coo_matrix((np.ones(len(pairs)), pairs.T), shape=(len(cells), len(cells)))
-    return connected_components(links, directed=False)[1][cell_of.ravel()]
+    labels = connected_components(links, directed=False)[1]
+    weight = np.bincount(labels[cell_of], weights * dense[cell_of])
+    best = int(weight.argmax())
+
+    core = cells[labels == best]
+    reach = max(GAP * float(np.linalg.norm(np.ptp(core, axis=0))), 1.8)
+    distance, _ = KDTree(core).query(cells, distance_upper_bound=reach)
+    near = np.unique(labels[dense & np.isfinite(distance)])
+    weight[near] = np.where(near == best, weight[near], 0.0)
+    rival = float(np.delete(weight, best).max(initial=0.0) / max(weight[best], 1e-300))
+    return (np.isin(labels, near) & dense)[cell_of], rival
