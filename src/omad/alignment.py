@@ -8,7 +8,7 @@ the child reaches from its joint, on which side of its parent it lies, which way
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,38 +26,45 @@ LEAST_TRAVEL = 0.1
 """Share of the spec's range of states that an object's joint must cover."""
 
 
-@dataclass(frozen=True)
-class Aligned:
-    """A model in canonical space."""
+SHORT = 0.1
+"""Share of the object's diagonal below which a distance says little about its direction."""
 
+
+def align(labellings: Sequence[RawArticulation], category: Category) -> ObjectModel:
+    """Bring an articulation to canonical space.
+
+    Each labelling has the category's parts as its links and the category's joints as its joints, in order;
+    the one that fits the spec best is taken. Raises InputError, without a file's name, where none is shaped
+    or jointed like the category's.
+    """
+    best = max(
+        (candidate for raw in labellings for candidate in _candidates(raw, category)),
+        key=lambda candidate: candidate.score,
+    ).model
+    _check(best, category)
+    return _settled(_limited(best, category).centred())
+
+
+@dataclass(frozen=True)
+class _Candidate:
     model: ObjectModel
     score: float
-    """How well it fits the spec; to choose between labellings of the same links."""
+    """How well it fits the spec."""
 
 
-def align(raw: RawArticulation, category: Category) -> Aligned:
-    """Bring ``raw`` to canonical space. Its links are the category's parts in order, its joints likewise.
-
-    Raises InputError, without the file's name, where the object is not shaped or jointed like the category's.
-    """
+def _candidates(raw: RawArticulation, category: Category) -> Iterator[_Candidate]:
+    """The object at rest in every frame that might be canonical."""
     model = _as_model(raw, category)
     rest = [
         _rest_state(category, joint, model.parts[spec.parent], model.parts[joint + 1], model)
         for joint, spec in enumerate(category.joints)
     ]
     at_rest = _zero_at(model, np.array(rest))
-    turned = [_signed(_turned(at_rest, R), category) for R in _frames(at_rest, category)]
-    # sources usually have z up: that decides where geometry does not
-    ups = [0.05 * R[1, 2] for R in _frames(at_rest, category)]
-    score, best = max(
-        (
-            (_agreement(m, category).mean() + _travel(m, category).mean() + up, m)
-            for m, up in zip(turned, ups, strict=True)
-        ),
-        key=lambda scored: scored[0],
-    )
-    _check(best, category)
-    return Aligned(_settled(_limited(best, category).centred()), float(score))
+    for R in _frames(at_rest, category):
+        turned = _signed(_turned(at_rest, R), category)
+        # most sources have z up: that decides where geometry does not
+        up = 0.05 * R[1, 2]
+        yield _Candidate(turned, float(_agreement(turned, category).mean() + _travel(turned, category).mean() + up))
 
 
 def _as_model(raw: RawArticulation, category: Category) -> ObjectModel:
@@ -270,22 +277,19 @@ def _frames(model: ObjectModel, category: Category) -> Iterator[np.ndarray]:
 
 
 def _agreement(model: ObjectModel, category: Category) -> np.ndarray:
-    """Cosines between where children are and where the spec says they are; 1 where it says nothing."""
+    """Cosines between where children are and where the spec says they are; nearer to 1 where they are close by."""
     centres = model.part_boxes().mean(1)
-    cosines = [1.0]
+    diagonal, found = model.diagonal, [1.0]
     for joint, spec in enumerate(category.joints):
         axis = model.axes[joint]
         reach = centres[joint + 1] - model.pivots[joint]
         across = reach - axis * (reach @ axis)  # a pivot may be anywhere on its axis
-        if spec.reach is not None:
-            cosines.append(_cosine(across, spec.reach))
-        if spec.side is not None:
-            cosines.append(_cosine(centres[joint + 1] - centres[spec.parent], spec.side))
-    return np.array(cosines)
-
-
-def _cosine(a: np.ndarray, b: tuple[float, float, float]) -> float:
-    return float(a @ np.array(b) / max(np.linalg.norm(a) * np.linalg.norm(b), 1e-12))
+        for offset, expected in ((across, spec.reach), (centres[joint + 1] - centres[spec.parent], spec.side)):
+            if expected is not None:
+                length = float(np.linalg.norm(offset))
+                cosine = offset @ np.array(expected) / max(length * np.linalg.norm(expected), 1e-12)
+                found.append(1 - min(1.0, length / (SHORT * diagonal)) * (1 - cosine))
+    return np.array(found)
 
 
 def _travel(model: ObjectModel, category: Category) -> np.ndarray:

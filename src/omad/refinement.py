@@ -267,7 +267,7 @@ def refine(
     points = prior.deform(solution.state.beta, solution.state.joint_states, solution.state.T_camera_base)
     squared = (points - targets.keypoints).square().sum(-1)
     mean = torch.where(left_out[..., 0], 0.0, squared).sum(-1) / (~left_out).sum((1, 2)).clamp(min=1)
-    directions = free.to(solution.hessian)
+    directions = free.to(squared.device, torch.float64)
     return Refined(
         state=solution.state,
         covariance=(directions @ _inverse(solution.hessian) @ directions.T).to(squared),

@@ -20,8 +20,10 @@ MAX_BEHIND = 0.02
 """A table, floor or wall has at most this share of all points behind it; an object's own faces have the table there."""
 MAX_COSINE = 0.5
 """Between the normals of two planes: walls are steep to the floor, and what is parallel to the table lies on it."""
-BORDER = 0.03
-"""Centrality (see ``_centrality``) that a wall's points fall below: it runs out of the frame, an object seldom does."""
+BORDER = 0.02
+"""A wall has this share of its points this near to the frame's border: it runs out of the frame, an object seldom does."""
+CELLS = 160
+"""Across the frame; heights over a plane are averaged inside such a cell, against the noise of single pixels."""
 VOXEL = 0.02
 """Cluster resolution as a share of the median distance: what is nearer than about twice this is one thing."""
 SPARSE = 0.1
@@ -53,16 +55,19 @@ def segment_on_plane(points: np.ndarray) -> Segment:
     rng = np.random.default_rng(0)
     distance = np.linalg.norm(points, axis=1)
     scale = distance**2 / np.median(distance)  # the errors of stereo grow with the square of the distance
-    central = _centrality(points)
+    place = _place(points)
+    central = (1 - np.abs(place)).prod(1)
+    column, row = ((place.T + 1) * (CELLS / 2)).astype(np.int64)
+    cell = row * (CELLS + 1) + column
     left = np.ones(len(points), dtype=bool)
     planes: list[np.ndarray] = []
     for share in MIN_SHARE:
         plane = _find_plane(points, scale, left, share, planes, rng)
         if plane is None:
             break
-        height = (points @ plane[:3] - plane[3]) / scale
+        height = _smoothed((points @ plane[:3] - plane[3]) / scale, cell)
         thickness = _thickness(height)
-        if planes and central[left & (np.abs(height) < thickness)].min(initial=1.0) > BORDER:
+        if planes and (central[left & (np.abs(height) < thickness)] < BORDER).mean() < BORDER:
             break
         left &= height > thickness
         planes.append(plane)
@@ -127,12 +132,19 @@ def _fit(points: np.ndarray, before: np.ndarray) -> np.ndarray:
     return np.append(normal, normal @ centre)
 
 
-def _centrality(points: np.ndarray) -> np.ndarray:
-    """(N,) 1 in the middle of the frame, falling to 0 at its border; the frame is what all the points span."""
+def _smoothed(height: np.ndarray, cell: np.ndarray) -> np.ndarray:
+    """Heights (N,) with those near the plane replaced by their mean over the image cell (N,)."""
+    near = np.abs(height) < COARSE
+    total = np.bincount(cell[near], height[near], minlength=cell.max() + 1)
+    count = np.bincount(cell[near], minlength=cell.max() + 1)
+    return np.where(near, (total / np.maximum(count, 1))[cell], height)
+
+
+def _place(points: np.ndarray) -> np.ndarray:
+    """(N, 2) place in the frame, -1 to 1; the frame is what all the points span."""
     ray = points[:, :2] / np.maximum(points[:, 2:], 1e-9)
     low, high = np.quantile(ray, 0.001, axis=0), np.quantile(ray, 0.999, axis=0)
-    place = (ray - low) / np.maximum(high - low, 1e-9) * 2 - 1
-    return (1 - np.minimum(np.abs(place), 1)).prod(1)
+    return np.clip((ray - low) / np.maximum(high - low, 1e-9) * 2 - 1, -1, 1)
 
 
 def _prominent_cluster(points: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, float]:

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from .categories import Category
+from .errors import InputError
 from .geometry import invert_transform, make_transform, matrix_to_quaternion, so3_exp
 from .kinematics import deform
 from .losses import confidence_loss, joint_loss, quaternion_loss, state_loss
@@ -117,13 +118,16 @@ def train_net(
     folder: Path,
     settings: NetTraining,
     device: torch.device | str = "cpu",
+    initial: OmadNet | None = None,
 ) -> OmadNet:
-    """Train OMADNet on views of ``models``; returns the averaged network."""
+    """Train OMADNet on views of ``models``, from ``initial`` weights where given; returns the averaged network."""
     torch.manual_seed(settings.schedule.seed)  # initial weights
     bank = SurfaceBank.from_models(models, category, seed=settings.schedule.seed).to(device)
     priornet = priornet.to(device).requires_grad_(False)
     nodes = object_keypoints(priornet, bank)
     net = OmadNet(category, priornet.prior, settings.backbone).to(device)
+    if initial is not None:
+        _start_from(net, initial)
 
     def loss_terms(module: torch.nn.Module, draw: torch.Generator) -> dict[str, Tensor]:
         assert isinstance(module, OmadNet)
@@ -138,3 +142,15 @@ def train_net(
     averaged = train(net, loss_terms, settings.schedule, folder, config)
     assert isinstance(averaged, OmadNet)
     return averaged
+
+
+def _start_from(net: OmadNet, initial: OmadNet) -> None:
+    """Copy the weights of ``initial``. Raises InputError where its prior is another one: it would answer in another
+    language."""
+    if initial.prior.basis.shape != net.prior.basis.shape or not torch.allclose(
+        initial.prior.basis.to(net.prior.basis), net.prior.basis, atol=1e-5
+    ):
+        raise InputError(
+            "the network to fine-tune belongs to another prior; give --prior the prior it was trained with"
+        )
+    net.load_state_dict(initial.state_dict())

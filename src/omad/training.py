@@ -17,6 +17,7 @@ from torch import Tensor, nn
 from tqdm import tqdm
 
 from .errors import InputError
+from .files import write_atomic
 
 
 @dataclass(frozen=True)
@@ -71,23 +72,19 @@ def train(
         step, seconds = state["step"], state["seconds"]
 
     def save() -> None:
-        temporary = state_path.with_suffix(".tmp")
-        torch.save(
-            {
-                "identity": identity,
-                "model": model.state_dict(),
-                "averaged": averaged.state_dict(),
-                "optimizer": optimizer.state_dict(),
-                "generator": generator.get_state(),
-                "step": step,
-                "seconds": seconds,
-            },
-            temporary,
-        )
-        temporary.replace(state_path)
+        state = {
+            "identity": identity,
+            "model": model.state_dict(),
+            "averaged": averaged.state_dict(),
+            "optimizer": optimizer.state_dict(),
+            "generator": generator.get_state(),
+            "step": step,
+            "seconds": seconds,
+        }
+        write_atomic(state_path, lambda path: torch.save(state, path))
 
     log = MetricLog(folder, step)
-    began = saved = time.monotonic() - 0.0
+    began = saved = time.monotonic()
     before = seconds
     bar = tqdm(total=schedule.steps, initial=step, unit="step", file=sys.stderr, disable=not sys.stderr.isatty())
     try:

@@ -72,10 +72,10 @@ def import_model(
     if names.is_file():
         raw = _with_semantics(raw, names)
     try:
-        aligned = [align(labelled, category) for labelled in label_parts(raw, category)]
+        model = align(label_parts(raw, category), category)
     except InputError as error:
         raise InputError(f"{file}: not usable as a {category.name}: {error}") from error
-    return replace(max(aligned, key=lambda a: a.score).model, name=_name(path))
+    return replace(model, name=_name(path))
 
 
 def _objects_in(folder: Path) -> list[Path]:

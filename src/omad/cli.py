@@ -1,0 +1,59 @@
+"""``omad``: parse the command line, run the command, print for a person or for a program."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from typing import Annotated, Any
+
+# two threads that spin while they wait starve each other where cores are shared; must be set before torch loads
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+os.environ.setdefault("GOMP_SPINCOUNT", "0")
+
+import tyro
+
+from . import commands as c
+from .errors import InputError
+from .tables import readable
+
+_ABOUT = "Shape, pose, joint states and joint axes of unseen articulated objects from one depth view."
+_name = tyro.conf.subcommand
+_Train = Annotated[
+    Annotated[c.TrainPrior, _name("prior")] | Annotated[c.TrainNet, _name("net")],
+    _name("train", description="Train a category: first its prior, then its network."),
+]
+_Eval = Annotated[
+    Annotated[c.EvalPose, _name("pose")] | Annotated[c.EvalKeypoints, _name("keypoints")],
+    _name("eval", description="Measure accuracy on objects with known truth."),
+]
+_Command = (
+    Annotated[c.Demo, _name("demo")]
+    | Annotated[c.Estimate, _name("estimate")]
+    | Annotated[c.Generate, _name("generate")]
+    | Annotated[c.Render, _name("render")]
+    | _Train
+    | _Eval
+    | Annotated[c.Export, _name("export")]
+    | Annotated[c.Info, _name("info")]
+)
+
+
+def main() -> None:
+    """Entry point. Exit codes: 0 done, 1 the work itself failed, 2 bad input or usage."""
+    sys.exit(run(sys.argv[1:]))
+
+
+def run(arguments: list[str]) -> int:
+    """Run one command line and return its exit code."""
+    command: Any = tyro.cli(_Command, args=arguments, prog="omad", description=_ABOUT)  # type: ignore[call-overload]
+    try:
+        code, answer = command.run()
+    except InputError as error:
+        print(f"omad: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("omad: interrupted; the same command goes on where this one stopped", file=sys.stderr)
+        return 130
+    print(json.dumps(answer) if command.json else readable(answer))
+    return code

@@ -1,0 +1,257 @@
+"""The estimator: cloud -> network -> refinement -> Estimate.
+
+    1. a first look in camera axes; its keypoints are fitted by least squares
+    2. a second look in the base frame so found, where every object stands alike; fitted again
+
+Each look shows the network a few random choices of the points and averages what it says, by confidence.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import overload
+
+import numpy as np
+import torch
+from scipy.spatial import KDTree
+from torch import Tensor
+
+from .categories import Category
+from .checkpoint import find_weights, load_net
+from .estimate import Estimate, InitialEstimate, JointEstimate
+from .geometry import transform_points
+from .kinematics import joint_lines, part_transforms
+from .observation import Observation
+from .omadnet import OmadNet, Prediction, first_frame, to_input_frame
+from .refinement import Refined, RefinementConfig, State, Targets, refine
+from .runtime import pick_device
+
+MIN_POINTS = 50
+
+
+@dataclass(frozen=True)
+class EstimatorConfig:
+    """How an observation is looked at."""
+
+    looks: int = 2
+    samples: int = 2
+    """Random choices of the points that each look averages."""
+    refinement: RefinementConfig = RefinementConfig()
+    seed: int = 0
+    """Which points are chosen; the same observation and seed give the same estimate."""
+    batch: int = 128
+    """Observations that go through the network together."""
+
+
+@dataclass(frozen=True)
+class _Look:
+    """One look at B clouds, in the camera frame and category units."""
+
+    targets: Targets
+    state: State
+    part_logits: Tensor
+    """(B, n, K)."""
+
+
+class Estimator:
+    """Recovers shape, pose and joints of one category's objects from single views."""
+
+    def __init__(self, net: OmadNet, config: EstimatorConfig | None = None, device: str | torch.device = "cpu") -> None:
+        self.device = torch.device(device)
+        self.net = net.to(self.device).eval()
+        self.config = config or EstimatorConfig()
+
+    @classmethod
+    def from_pretrained(
+        cls, weights: str | Path, device: str = "auto", config: EstimatorConfig | None = None
+    ) -> Estimator:
+        """``weights``: a category with shipped weights, or a checkpoint folder. Raises InputError."""
+        return cls(load_net(find_weights(weights)), config, pick_device(device))
+
+    @property
+    def category(self) -> Category:
+        return self.net.category
+
+    @overload
+    def __call__(self, observation: Observation) -> Estimate: ...
+    @overload
+    def __call__(self, observation: Sequence[Observation]) -> list[Estimate]: ...
+    def __call__(self, observation: Observation | Sequence[Observation]) -> Estimate | list[Estimate]:
+        """Estimate one observation, or several as a batch."""
+        if isinstance(observation, Observation):
+            return self._estimate([observation])[0]
+        size = self.config.batch
+        return [e for i in range(0, len(observation), size) for e in self._estimate(observation[i : i + size])]
+
+    @torch.no_grad()
+    def _estimate(self, observations: Sequence[Observation]) -> list[Estimate]:
+        began = time.perf_counter()
+        clouds, chosen = self._sample(observations)
+        frame = first_frame(clouds.flatten(1, 2))
+        network, refinement = 0.0, 0.0
+        first: _Look | None = None
+        start: State | None = None
+        for _ in range(self.config.looks):
+            look = self._look(clouds, frame)
+            network += self._lap(began)
+            began = time.perf_counter()
+            first = first or look
+            refined = self._refine(look.targets, start or look.state)
+            start, frame = refined.state, refined.state.T_camera_base
+            refinement += self._lap(began)
+            began = time.perf_counter()
+        assert first is not None
+        seconds = {"network": network / len(observations), "refinement": refinement / len(observations)}
+        return self._answers(observations, chosen, first, look, refined, seconds)
+
+    def _lap(self, began: float) -> float:
+        if self.device.type == "cuda":
+            torch.cuda.synchronize(self.device)
+        return time.perf_counter() - began
+
+    def _sample(self, observations: Sequence[Observation]) -> tuple[Tensor, list[np.ndarray]]:
+        """Random points of each cloud, in category units: (B, samples, n, 3), and which they are."""
+        rng = np.random.default_rng(self.config.seed)
+        wanted = self.config.samples * self.net.backbone.config.points
+        chosen = []
+        for observation in observations:
+            count = len(observation.points)
+            order = rng.permutation(count)[:wanted]
+            # too few points: repeat them, shuffled anew each time, so that every choice is a fair one
+            more = [rng.permutation(count) for _ in range(-(-wanted // count) - 1)]
+            chosen.append(np.concatenate([order, *more])[:wanted])
+        points = np.stack([o.points[index] for o, index in zip(observations, chosen, strict=True)])
+        clouds = torch.as_tensor(points / self.category.metres_per_unit, dtype=torch.float32, device=self.device)
+        return clouds.unflatten(1, (self.config.samples, -1)), chosen
+
+    def _look(self, clouds: Tensor, frame: Tensor) -> _Look:
+        """Run the network in ``frame`` (B, 4, 4) on all samples of each cloud and average its answers."""
+        batch, samples = clouds.shape[:2]
+        frames = frame[:, None].expand(-1, samples, -1, -1).flatten(0, 1)
+        said: Prediction = self.net(to_input_frame(clouds.flatten(0, 1), frames))
+        precision = (-2 * said.log_sigma).exp().unflatten(0, (batch, samples))
+        keypoints = transform_points(frames, said.keypoints).unflatten(0, (batch, samples))
+        total = precision.sum(1)
+        mean = (precision[..., None] * keypoints).sum(1) / total[..., None]
+        poses = (frames @ said.T_input_base).unflatten(0, (batch, samples))
+        return _Look(
+            targets=Targets(keypoints=mean, weights=total / samples),
+            state=State(
+                beta=said.beta.unflatten(0, (batch, samples)).mean(1),
+                joint_states=said.states.unflatten(0, (batch, samples)).mean(1),
+                T_camera_base=poses[:, 0],
+            ),
+            part_logits=said.part_logits.unflatten(0, (batch, samples)).flatten(1, 2),
+        )
+
+    def _refine(self, targets: Targets, start: State) -> Refined:
+        limits = torch.tensor([j.limits for j in self.category.joints], device=self.device)
+        return refine(self.net.prior, targets, start, limits.expand(len(start.beta), -1, -1), self.config.refinement)
+
+    def _answers(self, observations, chosen, first: _Look, last: _Look, refined: Refined, seconds) -> list[Estimate]:
+        category, prior, unit = self.category, self.net.prior, self.category.metres_per_unit
+        scale = self._metric_scale()
+        final, initial = _Placed.of(prior, refined.state, unit), _Placed.of(prior, first.state, unit)
+        covariance = _numpy(refined.covariance) * scale[:, None] * scale
+        std = np.sqrt(np.clip(np.diagonal(covariance, axis1=1, axis2=2), 0, None))
+        keypoint_std = unit / np.sqrt(_numpy(last.targets.weights))
+        observed = _numpy(last.targets.keypoints) * unit
+        labels = last.part_logits.argmax(-1).cpu().numpy()
+        estimates = []
+        for b, observation in enumerate(observations):
+            _, nearest = KDTree(observation.points[chosen[b]]).query(observation.points)
+            joints = final.joints(category, b, std[b, 6 : 6 + len(category.joints)])
+            unknown = np.full(len(category.joints), np.nan)
+            estimates.append(
+                Estimate(
+                    category=category,
+                    beta=final.beta[b],
+                    T_camera_base=final.T_camera_part[b, 0],
+                    T_camera_part=final.T_camera_part[b],
+                    joints=joints,
+                    keypoints=final.keypoints[b],
+                    canonical_keypoints=final.canonical[b],
+                    canonical_axes=final.canonical_axes[b],
+                    canonical_pivots=final.canonical_pivots[b],
+                    observed_keypoints=observed[b],
+                    keypoint_std=keypoint_std[b],
+                    covariance=covariance[b],
+                    converged=bool(refined.converged[b]),
+                    residual=float(refined.residual[b]) * unit,
+                    part_labels=labels[b][nearest],
+                    initial=InitialEstimate(
+                        joints=initial.joints(category, b, unknown),
+                        T_camera_base=initial.T_camera_part[b, 0],
+                        beta=initial.beta[b],
+                        T_camera_part=initial.T_camera_part[b],
+                    ),
+                    seconds=dict(seconds),
+                    warnings=tuple(observation.warnings),
+                )
+            )
+        return estimates
+
+    def _metric_scale(self) -> np.ndarray:
+        """(P,) factors from the refinement's unknowns to metres, radians and beta."""
+        unit = self.category.metres_per_unit
+        states = [1.0 if joint.type == "revolute" else unit for joint in self.category.joints]
+        return np.array([1.0] * 3 + [unit] * 3 + states + [1.0] * self.net.prior.basis_size)
+
+
+@dataclass(frozen=True)
+class _Placed:
+    """States of B objects written out in metres and the camera frame."""
+
+    beta: np.ndarray
+    states: np.ndarray
+    axes: np.ndarray
+    pivots: np.ndarray
+    T_camera_part: np.ndarray
+    keypoints: np.ndarray
+    canonical: np.ndarray
+    canonical_axes: np.ndarray
+    canonical_pivots: np.ndarray
+
+    @classmethod
+    def of(cls, prior, state: State, unit: float) -> _Placed:
+        joints = prior.joints(state.beta)
+        G = part_transforms(prior.tree, joints.axes, joints.pivots, state.joint_states, state.T_camera_base)
+        lines = joint_lines(prior.tree, joints.axes, joints.pivots, G)
+        metric = _numpy(G).copy()
+        metric[..., :3, 3] *= unit
+        return cls(
+            beta=_numpy(state.beta),
+            states=_numpy(torch.where(prior.revolute, state.joint_states, state.joint_states * unit)),
+            axes=_numpy(lines.axes),
+            pivots=_numpy(lines.pivots) * unit,
+            T_camera_part=metric,
+            keypoints=_numpy(prior.deform(state.beta, state.joint_states, state.T_camera_base)) * unit,
+            canonical=_numpy(prior.keypoints(state.beta)) * unit,
+            canonical_axes=_numpy(joints.axes),
+            canonical_pivots=_numpy(joints.pivots) * unit,
+        )
+
+    def joints(self, category: Category, b: int, std: np.ndarray) -> tuple[JointEstimate, ...]:
+        answers = []
+        for j, spec in enumerate(category.joints):
+            revolute = spec.type == "revolute"
+            low, high = (limit if revolute else limit * category.metres_per_unit for limit in spec.limits)
+            answers.append(
+                JointEstimate(
+                    name=spec.name,
+                    type=spec.type,
+                    state=float(self.states[b, j]),
+                    state_std=float(std[j]),
+                    limits=(low, high),
+                    axis=self.axes[b, j],
+                    pivot=self.pivots[b, j] if revolute else None,
+                )
+            )
+        return tuple(answers)
+
+
+def _numpy(tensor: Tensor) -> np.ndarray:
+    return tensor.detach().cpu().double().numpy()

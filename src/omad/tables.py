@@ -1,0 +1,125 @@
+"""Answers of commands as a person reads them: tables for results, plain lines for the rest."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+
+def readable(answer: dict[str, Any]) -> str:
+    """Text for one command's JSON object."""
+    if "results" in answer and answer["results"] and "truth" in answer["results"][0]:
+        return demo_table(answer)
+    if "by_object" in answer:
+        return pose_table(answer)
+    if "joints" in answer:
+        return joint_table(answer["joints"])
+    return "\n".join(f"{key}: {_plain(value)}" for key, value in answer.items())
+
+
+def demo_table(answer: dict[str, Any]) -> str:
+    """Estimate against truth, a line a joint."""
+    rows = [["object", "joint", "estimate", "truth", "axis error", "axis distance", "base rotation error"]]
+    for result in answer["results"]:
+        errors = result["errors"]
+        for j, joint in enumerate(result["estimate"]["joints"]):
+            turns = joint["type"] == "revolute"
+            distance = errors["axis_distance"][j]
+            rows.append(
+                [
+                    result["object"],
+                    joint["name"],
+                    _state(joint["state"], turns) + " ± " + _state(joint["state_std"], turns),
+                    _state(result["truth"]["joint_states"][j], turns),
+                    f"{errors['axis_deg'][j]:.1f}°",
+                    "-" if distance is None else f"{1000 * distance:.0f} mm",
+                    f"{errors['rotation_deg'][0]:.1f}°",
+                ]
+            )
+    pictures = [file for file in answer["files"] if file.endswith(".png")]
+    return "\n".join([table(rows), "", "pictures:", *pictures])
+
+
+def joint_table(joints: list[dict[str, Any]]) -> str:
+    """What ``estimate`` found, a line a joint."""
+    rows = [["joint", "state", "limits", "open", "axis", "pivot (m)"]]
+    for joint in joints:
+        turns = joint["type"] == "revolute"
+        rows.append(
+            [
+                joint["name"],
+                _state(joint["state"], turns) + " ± " + _state(joint["state_std"], turns),
+                " to ".join(_state(limit, turns) for limit in joint["limits"]),
+                f"{joint['fraction']:.0%}" if joint["fraction"] is not None else "-",
+                _vector(joint["axis"]),
+                "-" if joint["pivot"] is None else _vector(joint["pivot"]),
+            ]
+        )
+    return table(rows)
+
+
+def pose_table(answer: dict[str, Any]) -> str:
+    """Errors of ``eval pose``: initial, refined, refined by object; mean, median and 90th percentile."""
+    unit = answer["metres_per_unit"]
+    rows = [["", "joint state", "axis angle", "axis distance (units)", "base rotation", "within 5° 5 %"]]
+
+    def add(label: str, errors: dict[str, Any]) -> None:
+        states = [
+            _spread(d, 1, "°") if d else _spread(length, 1 / unit, " u")
+            for d, length in zip(errors["joint_state_error_deg"], errors["joint_state_error"], strict=True)
+        ]
+        rows.append(
+            [
+                label,
+                ", ".join(states),
+                ", ".join(_spread(e, 1, "°") for e in errors["axis_error_deg"]),
+                ", ".join("-" if e is None else _spread(e, 1 / unit, "") for e in errors["axis_distance"]),
+                _spread(errors["rotation_error_deg"][0], 1, "°"),
+                f"{errors['within_5deg_5percent']:.0%}",
+            ]
+        )
+
+    add("initial", answer["initial"])
+    add("refined", answer["refined"])
+    if answer["objects"] <= 10:
+        for entry in answer["by_object"]:
+            add("  " + entry["object"], entry["refined"])
+    seconds = {key: "-" if value is None else f"{1000 * value:.1f} ms" for key, value in answer["seconds"].items()}
+    head = f"{answer['category']}, {answer['source']}: {answer['views']} views of {answer['objects']} objects"
+    lines = [head + ", mean / median / 90th percentile", table(rows)]
+    lines.append(
+        f"failures {answer['failures']}; per image: network {seconds['network']}, refinement {seconds['refinement']}"
+    )
+    lines += [f"refused {r['name']}: {r['reason']}" for r in answer.get("refused", [])]
+    return "\n".join(lines)
+
+
+def table(rows: list[list[str]]) -> str:
+    """Columns padded to the same width; the first row is the head."""
+    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
+    lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
+    return "\n".join([lines[0], "  ".join("-" * width for width in widths), *lines[1:]])
+
+
+def _spread(error: dict[str, float], factor: float, unit: str) -> str:
+    digits = 1 if unit == "°" else 3
+    return " / ".join(f"{factor * error[key]:.{digits}f}{unit}" for key in ("mean", "median", "p90"))
+
+
+def _state(value: float | None, turns: bool) -> str:
+    if value is None:
+        return "-"
+    return f"{np.degrees(value):.1f}°" if turns else f"{100 * value:.1f} cm"
+
+
+def _vector(values: list[float]) -> str:
+    return "(" + ", ".join(f"{value:.3f}" for value in values) + ")"
+
+
+def _plain(value: Any) -> str:
+    if isinstance(value, dict):
+        return ", ".join(f"{key}={inner}" for key, inner in value.items()) or "-"
+    if isinstance(value, list):
+        return ", ".join(f"{v:.3f}" if isinstance(v, float) else str(v) for v in value) or "-"
+    return f"{value:.4f}" if isinstance(value, float) else str(value)
