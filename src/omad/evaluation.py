@@ -129,7 +129,5 @@ def draw_worst(results: list[ViewResult], category: Category, folder: Path, coun
         path = folder / f"worst-{rank}.png"
         title = f"{result.view.object}: {worst}"
         save(figure(observation, result.estimate, true_pose(result.view, category), title), path)
-            path,
-        )
         paths.append(str(path))
     return paths

@@ -44,7 +44,7 @@ class TerminationConfig:
 
     max_iterations: int = 50
     step_tolerance: float = 1e-6
-    """Converged when no unknown moves by more than this in an accepted step."""
+    """Converged when no unknown moves by more than this in a step (an accepted one, or one hardly damped)."""
     cost_tolerance: float = 1e-9
     """Converged when an accepted step lowers the cost by less than this share of it."""
 
@@ -169,13 +169,16 @@ def minimise(
         # threshold, and grows ever faster while steps fail, so that a bad start costs few evaluations.
         gain = decrease / predicted
         shrink = (1 - (2 * gain - 1) ** 3).clamp(min=1 / 3)
+        damped = damping > 1
         damping = damping * torch.where(accept, shrink, growth)
         growth = torch.where(accept, 2.0, 2 * growth)
 
-        small = (step.abs().amax(1) < termination.step_tolerance) | (decrease < termination.cost_tolerance * cost)
-        # A rejected step may only mean that rounding hides the last decrease.
-        unmeasurable = (predicted <= 8 * floor * cost) & (failed == 0)
-        converged = torch.where(accept, small, unmeasurable)
+        still = step.abs().amax(1) < termination.step_tolerance
+        small = still | (decrease < termination.cost_tolerance * cost)
+        # A rejected step may only mean that rounding hides the last decrease; one that is short because it is
+        # damped means nothing.
+        unmeasurable = (predicted <= 8 * floor * cost) | (still & ~damped)
+        converged = torch.where(accept, small, unmeasurable & (failed == 0))
         stuck = damping > trust_region.max_damping
 
         x = torch.where(accept[:, None], trial, x)

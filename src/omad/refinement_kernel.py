@@ -313,7 +313,8 @@ def _minimise_all(c, targets, weights, limits, points, hessians, converged, iter
                     for a in range(len(x)):
                         x[a] = trial[a]
                 else:
-                    converged[o] = promised <= 8.0 * EPSILON * cost  # rounding may hide the last decrease
+                    # rounding may hide the last decrease
+                    converged[o] = promised <= 8.0 * EPSILON * cost or (longest < smallest and damping <= 1.0)
             if not accepted:
                 damping *= growth
                 growth *= 2.0

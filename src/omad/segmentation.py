@@ -14,14 +14,15 @@ SAMPLES = 3000
 HYPOTHESES = 1000
 COARSE, FINE = 0.01, 0.002
 """Thickness of a plane as a share of the distance: while searching, and at least when done (depth noise widens it)."""
-MIN_SHARE = (0.1, 0.03, 0.03)
-"""Least share of the points on the first plane (table or floor) and on the further ones (walls)."""
+MIN_SHARE = 0.1
+"""A table, floor or wall holds at least this share of the points."""
+MAX_PLANES = 3
 MAX_BEHIND = 0.02
 """A table, floor or wall has at most this share of all points behind it; an object's own faces have the table there."""
 MAX_COSINE = 0.5
 """Between the normals of two planes: walls are steep to the floor, and what is parallel to the table lies on it."""
 BORDER = 0.02
-"""A wall has this share of its points this near to the frame's border: it runs out of the frame, an object seldom does."""
+"""A wall has this share of its points this near to the frame's border: it runs out of the frame."""
 CELLS = 160
 """Across the frame; heights over a plane are averaged inside such a cell, against the noise of single pixels."""
 VOXEL = 0.02
@@ -61,8 +62,8 @@ def segment_on_plane(points: np.ndarray) -> Segment:
     cell = row * (CELLS + 1) + column
     left = np.ones(len(points), dtype=bool)
     planes: list[np.ndarray] = []
-    for share in MIN_SHARE:
-        plane = _find_plane(points, scale, left, share, planes, rng)
+    for _ in range(MAX_PLANES):
+        plane = _find_plane(points, scale, left, planes, rng)
         if plane is None:
             break
         height = _smoothed((points @ plane[:3] - plane[3]) / scale, cell)
@@ -81,7 +82,6 @@ def _find_plane(
     points: np.ndarray,
     scale: np.ndarray,
     left: np.ndarray,
-    min_share: float,
     before: list[np.ndarray],
     rng: np.random.Generator,
 ) -> np.ndarray | None:
@@ -106,7 +106,7 @@ def _find_plane(
         allowed &= np.abs(normals @ other[:3]) < MAX_COSINE
     share[~allowed] = 0.0
     best = int(share.argmax())
-    if share[best] < min_share:
+    if share[best] < MIN_SHARE:
         return None
     plane = np.append(normals[best], offsets[best])
     for _ in range(3):

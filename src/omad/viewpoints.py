@@ -28,7 +28,7 @@ def sample_states(limits: Tensor, generator: torch.Generator | None = None) -> T
 
 
 def look_at(azimuth: Tensor, elevation: Tensor, roll: Tensor) -> Tensor:
-    """Rotation R_camera_base (B, 3, 3) of a camera at ``azimuth`` from the front (towards +x), looking at the origin."""
+    """R_camera_base (B, 3, 3) of a camera at ``azimuth`` from the front, towards +x, looking at the origin."""
     toward = torch.stack(
         [azimuth.sin() * elevation.cos(), elevation.sin(), azimuth.cos() * elevation.cos()], -1
     )  # from object to camera
