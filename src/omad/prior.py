@@ -6,6 +6,7 @@ Everything is in category units. B observations, M keypoints, J joints, D = |bet
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import accumulate, pairwise
 
 import torch
 from torch import Tensor, nn
@@ -72,6 +73,8 @@ class OmadPrior(nn.Module):
         super().__init__()
         self.tree: KinematicTree = category.tree
         self.basis_size = basis_size or category.basis_size
+        ends = list(accumulate((part.keypoints for part in category.parts), initial=0))
+        self.keypoints_of_part = tuple(slice(first, last) for first, last in pairwise(ends))
         mirror = mirror_map(category)
         learned = [i for i, image in enumerate(mirror.is_image) if not image]
         slot = [learned.index(i) for i in mirror.source]

@@ -185,7 +185,7 @@ def keypoint_jacobian(prior: OmadPrior, state: State) -> tuple[Tensor, Tensor]:
     by_states = torch.zeros(*points.shape, count, dtype=R.dtype, device=R.device)
     by_beta = torch.einsum("bmij,mjd->bmid", A, basis)
     for part in range(1, tree.num_parts):
-        members = (part_of == part).nonzero().squeeze(-1)
+        members = prior.keypoints_of_part[part]
         below = canonical[:, members]  # the keypoint in canonical coordinates, before the joint at hand moves it
         for joint in reversed(tree.path(part)):
             parent = G[:, tree.parents[joint]]
@@ -213,7 +213,7 @@ def keypoint_jacobian(prior: OmadPrior, state: State) -> tuple[Tensor, Tensor]:
             else:
                 moved = below + theta * u[:, None]
                 d_theta = u[:, None].expand_as(below)
-                d_beta = (theta * d_axes[:, joint])[:, None].expand(-1, len(members), -1, -1)
+                d_beta = (theta * d_axes[:, joint])[:, None].expand(-1, below.shape[1], -1, -1)
             by_states[:, members, :, joint] = d_theta @ rotation.mT
             by_beta[:, members] += rotation[:, None] @ d_beta
             below = moved
@@ -299,7 +299,7 @@ def _check(prior: OmadPrior, targets: Targets, initial: State, limits: Tensor) -
 
 
 def whitening(prior: OmadPrior, weight: float) -> Tensor:
-    """(D, D) matrix L with |L (beta - mean)|^2 = weight * squared Mahalanobis distance, float64."""
+    """(D, D) upper triangular L with |L (beta - mean)|^2 = weight * squared Mahalanobis distance, float64."""
     covariance = prior.beta_covariance.double()
     precision = torch.linalg.inv(
         covariance + 1e-9 * covariance.diagonal().mean() * torch.eye(len(covariance)).to(covariance)
