@@ -66,10 +66,11 @@ class Observation:
                 f"depth: {np.count_nonzero(chosen)} of {np.count_nonzero(depth)} measured pixels lie inside mask and"
                 f" box, at least {MIN_POINTS} are needed; check mask, box and the camera's range"
             )
-        rows, columns = np.nonzero(chosen)
+        # a table is found in the whole frame even where the box leaves little of it
+        rows, columns = np.nonzero(chosen if segment is None else depth)
         z = depth[rows, columns].astype(np.float64)
         points = np.stack([(columns - camera.cx) / camera.fx * z, (rows - camera.cy) / camera.fy * z, z], 1)
-        kept, warnings = _select(points, segment, drop_flying)
+        kept, warnings = _select(points, segment, drop_flying, chosen[rows, columns])
         rows, columns = rows[kept], columns[kept]
         chosen = np.zeros(depth.shape, dtype=bool)
         chosen[rows, columns] = True
@@ -180,14 +181,16 @@ def _check_region(shape: tuple[int, ...], mask: Any, box: Sequence[float] | None
     return region
 
 
-def _select(points: np.ndarray, segment: str | None, drop_flying: bool) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Indices of the object's points, and warnings."""
+def _select(
+    points: np.ndarray, segment: str | None, drop_flying: bool, inside: np.ndarray | None = None
+) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Indices of the object's points, and warnings; ``inside`` (N,) bool is where a segment may lie."""
     warnings: tuple[str, ...] = ()
     kept = np.arange(len(points))
     if segment not in (None, "plane"):
         raise InputError(f"segment: unknown way {segment!r}; use 'plane', or give a mask or a box")
     if segment == "plane":
-        found = segment_on_plane(points)
+        found = segment_on_plane(points, inside)
         kept = np.nonzero(found.selected)[0]
         if not len(found.planes):
             warnings += ("no table, floor or wall was found; the largest connected thing was taken",)

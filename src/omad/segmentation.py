@@ -47,17 +47,19 @@ class Segment:
     """Weight of the second cluster as a share of the chosen one's."""
 
 
-def segment_on_plane(points: np.ndarray) -> Segment:
+def segment_on_plane(points: np.ndarray, inside: np.ndarray | None = None) -> Segment:
     """Find table, floor and walls in a camera-frame cloud (N, 3) and select the most prominent cluster before them.
 
-    A cluster's weight is its number of points, those in the middle of the frame counting most. Deterministic: the
-    same cloud gives the same answer.
+    ``inside`` (N,) bool says where the object is looked for; the planes are found in the whole cloud. A cluster's
+    weight is its number of points, those in the middle of the frame (or of what is inside) counting most.
+    Deterministic: the same cloud gives the same answer.
     """
+    inside = np.ones(len(points), dtype=bool) if inside is None else inside
     rng = np.random.default_rng(0)
     distance = np.linalg.norm(points, axis=1)
     scale = distance**2 / np.median(distance)  # the errors of stereo grow with the square of the distance
     place = _place(points)
-    central = (1 - np.abs(place)).prod(1)
+    to_border = (1 - np.abs(place)).min(1)
     column, row = ((place.T + 1) * (CELLS / 2)).astype(np.int64)
     cell = row * (CELLS + 1) + column
     left = np.ones(len(points), dtype=bool)
@@ -68,10 +70,13 @@ def segment_on_plane(points: np.ndarray) -> Segment:
             break
         height = _smoothed((points @ plane[:3] - plane[3]) / scale, cell)
         thickness = _thickness(height)
-        if planes and (central[left & (np.abs(height) < thickness)] < BORDER).mean() < BORDER:
+        if planes and (to_border[left & (np.abs(height) < thickness)] < BORDER).mean() < BORDER:
             break
         left &= height > thickness
         planes.append(plane)
+    left &= inside
+    central = np.zeros(len(points))
+    central[inside] = (1 - np.abs(_place(points[inside]))).prod(1)
     chosen, rival = _prominent_cluster(points[left], central[left])
     selected = np.zeros(len(points), dtype=bool)
     selected[np.nonzero(left)[0][chosen]] = True
@@ -142,6 +147,8 @@ def _smoothed(height: np.ndarray, cell: np.ndarray) -> np.ndarray:
 
 def _place(points: np.ndarray) -> np.ndarray:
     """(N, 2) place in the frame, -1 to 1; the frame is what all the points span."""
+    if not len(points):
+        return np.zeros((0, 2))
     ray = points[:, :2] / np.maximum(points[:, 2:], 1e-9)
     low, high = np.quantile(ray, 0.001, axis=0), np.quantile(ray, 0.999, axis=0)
     return np.clip((ray - low) / np.maximum(high - low, 1e-9) * 2 - 1, -1, 1)
