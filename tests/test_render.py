@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+from pathlib import Path
+
 import numpy as np
 import pytest
 import trimesh
@@ -142,3 +145,22 @@ def test_one_part_hides_another_and_both_sides_of_a_face_are_seen() -> None:
         assert ours.labels[centre] == 0
         assert ours.depth[centre] == pytest.approx(1.0)
         assert set(np.unique(ours.labels)) == {0, 1, NOTHING}
+
+
+@pytest.mark.skipif("OMAD_MODELS" not in os.environ, reason="OMAD_MODELS names no folder of real models")
+def test_scanned_and_modelled_meshes_look_as_rays_see_them() -> None:
+    """Foreign meshes: open, doubled and badly wound faces, many slivers."""
+    folders = sorted(Path(os.environ["OMAD_MODELS"]).glob("*/*/textured_objs"))[:6]
+    assert folders
+    for index, folder in enumerate(folders):
+        parts = [trimesh.load_mesh(path, process=False) for path in sorted(folder.glob("*.obj"))]
+        mesh = trimesh.util.concatenate([trimesh.Trimesh(p.vertices, p.faces, process=False) for p in parts])
+        pose = trimesh.transformations.euler_matrix(2.7, 0.5 * index, 0.1)
+        pose[:3, 3] = 0, 0, 3
+        vertices, labels = trimesh.transform_points(mesh.vertices, pose), np.zeros(len(mesh.faces), dtype=int)
+        ours = rasterise(vertices, mesh.faces, labels, STANDARD_CAMERA)
+        oracle = cast(vertices, mesh.faces, labels, STANDARD_CAMERA)
+        seen = (ours.depth > 0) & (oracle.depth > 0)
+        assert seen.sum() > 10_000
+        assert ((ours.depth > 0) != (oracle.depth > 0)).sum() < 2e-3 * seen.sum()
+        assert (np.abs(ours.depth - oracle.depth)[seen] > 1e-4).mean() < 2e-3

@@ -61,7 +61,7 @@ class KinematicTree:
 
 def joint_transforms(tree: KinematicTree, axes: Tensor, pivots: Tensor, states: Tensor) -> Tensor:
     """F of every joint. axes (B, J, 3) unit, pivots (B, J, 3), states (B, J) -> (B, J, 4, 4)."""
-    revolute = torch.tensor([kind == "revolute" for kind in tree.types], device=states.device)
+    revolute = torch.tensor([kind == "revolute" for kind in tree.types], dtype=torch.bool, device=states.device)
     angle = torch.where(revolute, states, torch.zeros_like(states))
     rotation = axis_angle_to_matrix(axes, angle)
     turn = pivots - (rotation @ pivots[..., None]).squeeze(-1)

@@ -1,0 +1,122 @@
+"""Training: it learns, it resumes exactly, it refuses what is not its own."""
+
+import json
+from dataclasses import replace
+
+import pytest
+import torch
+from torch import nn
+
+from omad.categories import LAPTOP
+from omad.errors import InputError
+from omad.priornet import PriorNet
+from omad.sources.procedural import generate
+from omad.train_net import NetTraining, train_net
+from omad.train_prior import PriorTraining, train_prior
+from omad.training import Schedule, train
+
+SCHEDULE = Schedule(steps=40, batch=8, log_steps=10)
+
+
+class Line(nn.Module):
+    def __init__(self) -> None:
+        super().__init__()
+        self.layer = nn.Linear(2, 1)
+
+
+def terms(model, generator, stop_at=None, counter=None):
+    if counter is not None:
+        counter.append(1)
+        if len(counter) == stop_at:
+            raise KeyboardInterrupt
+    x = torch.randn(8, 2, generator=generator)
+    return {"fit": (model.layer(x) - x.sum(1, keepdim=True)).square().mean()}
+
+
+def fresh() -> Line:
+    torch.manual_seed(0)
+    return Line()
+
+
+def test_loss_goes_down_and_metrics_are_written(tmp_path):
+    train(fresh(), terms, replace(SCHEDULE, learning_rate=0.05, steps=200), tmp_path, {})
+    rows = [json.loads(line) for line in (tmp_path / "metrics.jsonl").read_text().splitlines()]
+    assert [row["step"] for row in rows] == list(range(10, 201, 10))
+    assert rows[-1]["fit"] < 0.05 * rows[0]["fit"]
+    assert list(tmp_path.glob("events.out.tfevents.*"))
+
+
+def test_a_killed_training_goes_on_exactly(tmp_path):
+    whole, model = fresh(), fresh()
+    kept = train(whole, terms, SCHEDULE, tmp_path / "whole", {})
+    often = replace(SCHEDULE, save_seconds=0.0)
+    count = []
+    with pytest.raises(KeyboardInterrupt):
+        train(model, lambda m, g: terms(m, g, 25, count), often, tmp_path / "killed", {})
+    resumed = train(fresh(), terms, often, tmp_path / "killed", {})
+    assert torch.equal(resumed.layer.weight, kept.layer.weight)
+    steps = [json.loads(line)["step"] for line in (tmp_path / "killed/metrics.jsonl").read_text().splitlines()]
+    assert steps == [10, 20, 30, 40]
+
+
+def test_a_state_of_other_settings_or_a_broken_one_is_refused(tmp_path):
+    train(fresh(), terms, SCHEDULE, tmp_path, {})
+    with pytest.raises(InputError, match="other settings"):
+        train(fresh(), terms, replace(SCHEDULE, seed=1), tmp_path, {})
+    (tmp_path / "state.pt").write_bytes(b"nonsense")
+    with pytest.raises(InputError, match="not a training state"):
+        train(fresh(), terms, SCHEDULE, tmp_path, {})
+
+
+def test_max_minutes_ends_the_schedule(tmp_path):
+    train(fresh(), terms, replace(SCHEDULE, steps=10**9, max_minutes=0.02), tmp_path, {})
+    state = torch.load(tmp_path / "state.pt", weights_only=True)
+    assert 1.0 < state["seconds"] < 10
+    assert state["optimizer"]["param_groups"][0]["lr"] < 0.05 * SCHEDULE.learning_rate
+
+
+@pytest.fixture(scope="module")
+def models():
+    return [generate(LAPTOP, i) for i in range(4)]
+
+
+@pytest.fixture(scope="module")
+def priornet(models, tmp_path_factory) -> PriorNet:
+    settings = PriorTraining(schedule=Schedule(steps=60, batch=8), points=256)
+    return train_prior(models, LAPTOP, tmp_path_factory.mktemp("prior"), settings)
+
+
+def test_prior_training_sets_the_statistics_of_beta(priornet):
+    prior = priornet.prior
+    assert torch.linalg.eigvalsh(prior.beta_covariance).min() > 0
+    assert prior.beta_mean.abs().max() > 0.1
+
+
+def test_network_training_learns_and_repeats(models, priornet, tmp_path):
+    settings = NetTraining(schedule=Schedule(steps=12, batch=8, log_steps=4))
+    for name in ("a", "b"):
+        train_net(models, LAPTOP, priornet, tmp_path / name, settings)
+    first, second = (
+        [json.loads(line) for line in (tmp_path / name / "metrics.jsonl").read_text().splitlines()] for name in "ab"
+    )
+    assert first[-1]["keypoints"] < 0.9 * first[0]["keypoints"]
+    # the same up to the order in which a matrix product adds, which depends on where its memory lies
+    for a, b in zip(first, second, strict=True):
+        assert a["keypoints"] == pytest.approx(b["keypoints"], rel=1e-3)
+
+
+def test_fine_tuning_starts_from_given_weights_and_refuses_another_prior(models, priornet, tmp_path):
+    settings = NetTraining(schedule=Schedule(steps=1, batch=4, learning_rate=0.0))
+    first = train_net(models, LAPTOP, priornet, tmp_path / "a", settings)
+    again = train_net(
+        models,
+        LAPTOP,
+        priornet,
+        tmp_path / "b",
+        replace(settings, schedule=replace(settings.schedule, seed=5)),
+        initial=first,
+    )
+    assert all(torch.equal(a, b) for a, b in zip(first.parameters(), again.parameters(), strict=True))
+    other = PriorNet(LAPTOP)
+    with pytest.raises(InputError, match="another prior"):
+        train_net(models, LAPTOP, other, tmp_path / "c", settings, initial=first)
