@@ -24,7 +24,9 @@ _Train = Annotated[
     _name("train", description="Train a category: first its prior, then its network."),
 ]
 _Eval = Annotated[
-    Annotated[c.EvalPose, _name("pose")] | Annotated[c.EvalKeypoints, _name("keypoints")],
+    Annotated[c.EvalPose, _name("pose")]
+    | Annotated[c.EvalKeypoints, _name("keypoints")]
+    | Annotated[c.EvalViews, _name("views")],
     _name("eval", description="Measure accuracy on objects with known truth."),
 ]
 _Command = (

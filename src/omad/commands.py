@@ -34,6 +34,7 @@ from .train_net import NetTraining, train_net
 from .train_prior import PriorTraining, train_prior
 from .training import Schedule
 from .urdf import write_urdf
+from .view_check import compare_views
 from .view_folder import open_views, render_to_folder
 
 DEPTH_FILES = (".png", ".npy")
@@ -318,6 +319,25 @@ class EvalKeypoints:
         net = load_priornet(self.weights or find_weights(self.category) / "prior")
         models = [generate(net.category, index, "test", self.seed) for index in range(self.objects)]
         return 0, asdict(keypoint_spread(net, models))
+
+
+@dataclass(frozen=True)
+class EvalViews:
+    """Show that training views are like rendered ones: the error of the network's first look on both."""
+
+    category: str
+    objects: int = 20
+    views: int = 1000
+    """Of each kind."""
+    seed: int = 0
+    weights: Weights = None
+    json: Json = False
+
+    def run(self) -> Result:
+        folder = find_weights(self.weights or self.category)
+        net, priornet = load_net(folder), load_priornet(folder / "prior")
+        models = [generate(net.category, index, "test", self.seed) for index in range(self.objects)]
+        return 0, asdict(compare_views(net, priornet, models, self.views, self.seed))
 
 
 @dataclass(frozen=True)
