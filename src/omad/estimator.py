@@ -36,10 +36,10 @@ MIN_POINTS = 50
 class EstimatorConfig:
     """How an observation is looked at."""
 
-    looks: int = 2
-    samples: int = 2
-    """Random choices of the points that each look averages."""
-    refinement: RefinementConfig = RefinementConfig()
+    samples: tuple[int, ...] = (1, 3)
+    """Per look, how many random choices of the points it averages. The first look only has to find the frame."""
+    refinement: RefinementConfig = RefinementConfig(step_tolerance=1e-4, cost_tolerance=1e-5)
+    """Tolerances a hundred times below the network's own error: half the iterations of the defaults."""
     seed: int = 0
     """Which points are chosen; the same observation and seed give the same estimate."""
     batch: int = 128
@@ -94,8 +94,8 @@ class Estimator:
         network, refinement = 0.0, 0.0
         first: _Look | None = None
         start: State | None = None
-        for _ in range(self.config.looks):
-            look = self._look(clouds, frame)
+        for used, samples in enumerate(self.config.samples):
+            look = self._look(clouds[:, sum(self.config.samples[:used]) :][:, :samples], frame)
             network += self._lap(began)
             began = time.perf_counter()
             first = first or look
@@ -113,9 +113,10 @@ class Estimator:
         return time.perf_counter() - began
 
     def _sample(self, observations: Sequence[Observation]) -> tuple[Tensor, list[np.ndarray]]:
-        """Random points of each cloud, in category units: (B, samples, n, 3), and which they are."""
+        """Random points of each cloud, in category units: (B, samples of all looks, n, 3), and which they are."""
         rng = np.random.default_rng(self.config.seed)
-        wanted = self.config.samples * self.net.backbone.config.points
+        samples = sum(self.config.samples)
+        wanted = samples * self.net.backbone.config.points
         chosen = []
         for observation in observations:
             count = len(observation.points)
@@ -125,7 +126,7 @@ class Estimator:
             chosen.append(np.concatenate([order, *more])[:wanted])
         points = np.stack([o.points[index] for o, index in zip(observations, chosen, strict=True)])
         clouds = torch.as_tensor(points / self.category.metres_per_unit, dtype=torch.float32, device=self.device)
-        return clouds.unflatten(1, (self.config.samples, -1)), chosen
+        return clouds.unflatten(1, (samples, -1)), chosen
 
     def _look(self, clouds: Tensor, frame: Tensor) -> _Look:
         """Run the network in ``frame`` (B, 4, 4) on all samples of each cloud and average its answers."""
@@ -160,9 +161,10 @@ class Estimator:
         keypoint_std = unit / np.sqrt(_numpy(last.targets.weights))
         observed = _numpy(last.targets.keypoints) * unit
         labels = last.part_logits.argmax(-1).cpu().numpy()
+        labelled = slice(-labels.shape[1], None)  # the points of the last look
         estimates = []
         for b, observation in enumerate(observations):
-            _, nearest = KDTree(observation.points[chosen[b]]).query(observation.points)
+            _, nearest = KDTree(observation.points[chosen[b][labelled]]).query(observation.points)
             joints = final.joints(category, b, std[b, 6 : 6 + len(category.joints)])
             unknown = np.full(len(category.joints), np.nan)
             estimates.append(
