@@ -114,11 +114,11 @@ class Estimator:
 
     def _sample(self, observations: Sequence[Observation]) -> tuple[Tensor, list[np.ndarray]]:
         """Random points of each cloud, in category units: (B, samples of all looks, n, 3), and which they are."""
-        rng = np.random.default_rng(self.config.seed)
         samples = sum(self.config.samples)
         wanted = samples * self.net.backbone.config.points
         chosen = []
         for observation in observations:
+            rng = np.random.default_rng(self.config.seed)  # anew, so that a batch gives what single calls give
             count = len(observation.points)
             order = rng.permutation(count)[:wanted]
             # too few points: repeat them, shuffled anew each time, so that every choice is a fair one

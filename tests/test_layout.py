@@ -1,0 +1,126 @@
+"""The package reads top to bottom: a module imports only from modules above it, and files stay short."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import omad
+
+ROOT = Path(omad.__file__).parent
+REPOSITORY = ROOT.parents[1]
+ORDER = [
+    "errors",
+    "geometry",
+    "kinematics",
+    "categories",
+    "camera",
+    "files",
+    "objects",
+    "urdf",
+    "depth_noise",
+    "segmentation",
+    "observation",
+    "viewpoints",
+    "alignment",
+    "sources.links",
+    "sources.folder",
+    "sources.procedural.shapes",
+    "sources.procedural.laptop",
+    "sources.procedural.dishwasher",
+    "sources.procedural",
+    "render",
+    "standard_views",
+    "view_folder",
+    "views",
+    "losses",
+    "pointnet2",
+    "prior",
+    "priornet",
+    "omadnet",
+    "least_squares",
+    "small_matrices",
+    "refinement_kernel",
+    "refinement",
+    "adam_recipe",
+    "runtime",
+    "training",
+    "checkpoint",
+    "train_prior",
+    "train_net",
+    "metrics",
+    "estimate",
+    "estimator",
+    "report",
+    "evaluation",
+    "keypoint_check",
+    "view_check",
+    "demo",
+    "tables",
+    "commands",
+    "cli",
+]
+
+
+def modules() -> dict[str, Path]:
+    found = {}
+    for path in ROOT.rglob("*.py"):
+        parts = path.relative_to(ROOT).with_suffix("").parts
+        name = ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+        if name and name != "sources":
+            found[name] = path
+    return found
+
+
+def imports(name: str, path: Path) -> set[str]:
+    """Modules of the package that a module imports."""
+    package = name.split(".") if path.name == "__init__.py" else name.split(".")[:-1]
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.ImportFrom) and node.level:
+            base = package[: len(package) - node.level + 1]
+            target = base + (node.module.split(".") if node.module else [])
+            if node.module:
+                found.add(".".join(target))
+            else:
+                found |= {".".join([*target, alias.name]) for alias in node.names}
+    return found - {"__version__", ""}
+
+
+def test_every_module_has_its_place():
+    assert sorted(modules()) == sorted(ORDER)
+
+
+@pytest.mark.parametrize("name", ORDER)
+def test_imports_point_upwards(name):
+    above = set(ORDER[: ORDER.index(name)])
+    wrong = {other for other in imports(name, modules()[name]) if other in ORDER and other not in above}
+    assert not wrong, f"{name} imports {wrong}, which stand below it"
+
+
+def test_files_stay_short():
+    long = {path.name: n for path in modules().values() if (n := len(path.read_text().splitlines())) > 420}
+    assert not long
+
+
+def test_no_code_asks_for_a_category_by_name():
+    names = ("laptop", "dishwasher")
+    allowed = {"categories", "sources.procedural"} | {f"sources.procedural.{name}" for name in names}
+    for name, path in modules().items():
+        if name in allowed:
+            continue
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Compare):
+                values = [v.value for v in ast.walk(node) if isinstance(v, ast.Constant)]
+                assert not set(values) & set(names), f"{path.name}:{node.lineno}"
+
+
+def test_style_is_clean():
+    for command in (["check"], ["format", "--check"]):
+        done = subprocess.run(
+            [sys.executable, "-m", "ruff", *command, "src", "tests", "benchmarks"],
+            cwd=REPOSITORY, capture_output=True, text=True, check=False,
+        )  # fmt: skip
+        assert done.returncode == 0, done.stdout
