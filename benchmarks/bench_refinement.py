@@ -1,30 +1,34 @@
-"""How long refinement takes, alone and in batches, and how it compares with the paper's Adam recipe.
+"""How long an estimate takes, and how refinement compares with the paper's Adam recipe.
 
-    python benchmarks/bench_refinement.py [--category laptop] [--json]
+    OMP_NUM_THREADS=1 python benchmarks/bench_refinement.py [--category laptop] [--json]
 
-Random objects of a random prior, keypoints with noise, starts such as a network gives (20 degrees, 0.1 units off).
-Adam and least squares see the same targets and weights, one problem at a time, without prior, limits or robust loss;
-energies are sums of weighted squared keypoint distances. Medians; run it with OMP_NUM_THREADS=1 on a shared machine.
+Rendered standard views of unseen objects go through the shipped network; what its first look gives (targets, weights,
+initial values) is the problem. Adam and least squares then solve the same ones, one at a time, without prior, limits
+or robust loss; energies are sums of weighted squared keypoint distances. Medians.
 """
 
 from __future__ import annotations
 
 import json
-import math
 import platform
-import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 import tyro
 
 from omad.adam_recipe import refine_with_adam
-from omad.categories import get_category
-from omad.geometry import make_transform, so3_exp
-from omad.prior import OmadPrior
-from omad.refinement import RefinementConfig, State, Targets, refine
+from omad.estimator import Estimator
+from omad.observation import Observation
+from omad.omadnet import first_frame
+from omad.refinement import Refined, RefinementConfig, State, Targets, refine
+from omad.runtime import keep_freed_memory
+from omad.sources.procedural import generate
+from omad.standard_views import standard_views
+
+PLAIN = RefinementConfig(prior_weight=0.0, huber=None, limit_sigma=1e6)
 
 
 @dataclass(frozen=True)
@@ -32,121 +36,69 @@ class Config:
     """Settings of the benchmark."""
 
     category: str = "laptop"
+    views: int = 32
     batch: int = 256
-    problems: int = 20
-    """Problems solved one at a time; Adam gets the first ``adam_problems`` of them."""
-    adam_problems: int = 5
-    noise: float = 0.03
-    """Standard deviation of the targets, category units."""
-    seed: int = 0
+    """Problems of the batch; the views are repeated to fill it."""
+    adam: int = 10
+    """Views that Adam solves too."""
     json: bool = False
-    """Print one JSON object."""
-
-
-@dataclass(frozen=True)
-class Problems:
-    """B refinement problems."""
-
-    prior: OmadPrior
-    targets: Targets
-    start: State
-    limits: torch.Tensor
-
-    def __getitem__(self, rows: slice) -> Problems:
-        start = State(self.start.beta[rows], self.start.joint_states[rows], self.start.T_camera_base[rows])
-        targets = Targets(self.targets.keypoints[rows], self.targets.weights[rows])
-        return Problems(self.prior, targets, start, self.limits)
-
-
-def draw_problems(config: Config) -> Problems:
-    draw = torch.Generator().manual_seed(config.seed)
-    category = get_category(config.category)
-    prior = OmadPrior(category, generator=draw).requires_grad_(False)
-    limits = torch.tensor([joint.limits for joint in category.joints])
-    count, joints = config.batch, len(limits)
-
-    def normal(*shape: int) -> torch.Tensor:
-        return torch.randn(shape, generator=draw)
-
-    beta = normal(count, prior.basis_size)
-    states = limits[:, 0] + torch.rand(count, joints, generator=draw) * (limits[:, 1] - limits[:, 0])
-    T = make_transform(so3_exp(normal(count, 3)), normal(count, 3) + torch.tensor([0.0, 0.0, 4.0]))
-    keypoints = prior.deform(beta, states, T)
-    weights = torch.full(keypoints.shape[:2], config.noise**-2)
-    turn = math.radians(20) * torch.nn.functional.normalize(normal(count, 3), dim=-1)
-    start = State(
-        beta + 0.3 * normal(count, prior.basis_size),
-        states + math.radians(20) * normal(count, joints).sign(),
-        make_transform(so3_exp(turn) @ T[:, :3, :3], T[:, :3, 3] + 0.1 * normal(count, 3)),
-    )
-    return Problems(prior, Targets(keypoints + config.noise * normal(*keypoints.shape), weights), start, limits)
 
 
 def median_ms(run: Callable[[int], object], count: int) -> float:
-    """Median wall-clock milliseconds of ``run(0) ... run(count - 1)``."""
+    """Median milliseconds of ``run(0)``, ``run(1)``, ... after one run to warm up."""
+    run(0)
     times = []
     for index in range(count):
         began = time.perf_counter()
         run(index)
         times.append(1e3 * (time.perf_counter() - began))
-    return torch.tensor(times).median().item()
+    return float(np.median(times))
 
 
-def measure(config: Config) -> dict[str, object]:
-    problems = draw_problems(config)
+@torch.no_grad()
+def main(config: Config) -> None:
+    keep_freed_memory()
+    estimator = Estimator.from_pretrained(config.category, device="cpu")
+    category, prior = estimator.category, estimator.net.prior
+    models = [generate(category, index, "test") for index in range(20)]
+    views = list(standard_views(models, category, config.views))
+    observations = [Observation.from_depth(view.depth, view.camera) for view in views]
+    clouds, _ = estimator._sample(observations)
+    look = estimator._look(clouds[:, :1], first_frame(clouds.flatten(1, 2)))
+    limits = torch.tensor([joint.limits for joint in category.joints])
 
-    def solve(part: Problems, settings: RefinementConfig):
-        return refine(part.prior, part.targets, part.start, part.limits, settings)
+    def problem(rows: torch.Tensor) -> tuple[Targets, State]:
+        targets = Targets(look.targets.keypoints[rows], look.targets.weights[rows])
+        return targets, State(look.state.beta[rows], look.state.joint_states[rows], look.state.T_camera_base[rows])
 
-    ms: dict[str, float] = {}
-    for backend in ("kernel", "torch"):
-        settings = RefinementConfig(backend=backend)
-        solve(problems[:1], settings)  # compile, or load what was compiled
-        singles = [problems[i : i + 1] for i in range(config.problems)]
-        ms[f"{backend}_alone"] = median_ms(lambda i, s=settings, p=singles: solve(p[i], s), config.problems)
-        ms[f"{backend}_in_batch"] = median_ms(lambda _, s=settings: solve(problems, s), 7) / config.batch
+    def solve(rows: torch.Tensor, settings: RefinementConfig) -> Refined:
+        targets, start = problem(rows)
+        return refine(prior, targets, start, limits.expand(len(rows), -1, -1), settings)
 
-    plain = RefinementConfig(prior_weight=0.0, limit_sigma=1e6, huber=None)
-    energies: dict[str, list[float]] = {"kernel": [], "adam": []}
-
-    def least_squares(index: int) -> None:
-        energies["kernel"].append(solve(problems[index : index + 1], plain).energy.item())
-
-    def adam(index: int) -> None:
-        one = problems[index : index + 1]
-        energies["adam"].append(refine_with_adam(one.prior, one.targets, one.start).energy.item())
-
-    ms["kernel_same_energy_as_adam"] = median_ms(least_squares, config.adam_problems)
-    ms["adam_alone"] = median_ms(adam, config.adam_problems)
-    pairs = list(zip(energies["kernel"], energies["adam"], strict=True))
-    return {
-        "category": config.category,
-        "batch": config.batch,
-        "machine": f"{platform.machine()}, {torch.get_num_threads()} threads, torch {torch.__version__}",
-        "milliseconds_per_problem": ms,
-        "adam_over_kernel": ms["adam_alone"] / ms["kernel_same_energy_as_adam"],
-        "median_energy": {name: torch.tensor(values).median().item() for name, values in energies.items()},
-        "kernel_energy_never_higher": all(ours <= theirs for ours, theirs in pairs),
+    many = torch.arange(config.batch) % config.views
+    default = estimator.config.refinement
+    answer = {
+        "category": category.name,
+        "machine": f"{platform.processor() or platform.machine()}, {torch.get_num_threads()} thread(s)",
+        "refinement_one_ms": median_ms(lambda i: solve(torch.tensor([i]), default), config.views),
+        "refinement_batch_ms_each": median_ms(lambda _: solve(many, default), 5) / config.batch,
     }
+    singles = [estimator(observations[i]).seconds for i in [0, *range(config.views)]][1:]
+    answer["estimate_one_network_ms"] = 1e3 * float(np.median([s["network"] for s in singles]))
+    answer["estimate_one_refinement_ms"] = 1e3 * float(np.median([s["refinement"] for s in singles]))
+    answer["estimate_one_total_ms"] = median_ms(lambda i: estimator(observations[i]), config.views)
 
-
-def main() -> None:
-    config = tyro.cli(Config, description=__doc__)
-    result = measure(config)
-    if config.json:
-        json.dump(result, sys.stdout)
-        print()
-        return
-    print(f"{result['category']}, batch {config.batch}, {result['machine']}")
-    milliseconds, energy = result["milliseconds_per_problem"], result["median_energy"]
-    assert isinstance(milliseconds, dict)
-    assert isinstance(energy, dict)
-    for name, value in milliseconds.items():
-        print(f"  {name.replace('_', ' '):30} {value:10.3f} ms a problem")
-    print(f"  Adam / kernel, one at a time   {result['adam_over_kernel']:10.0f} x")
-    print(f"  median energy                  {energy['kernel']:10.2f} kernel, {energy['adam']:.2f} Adam")
-    print(f"  kernel's energy never higher   {result['kernel_energy_never_higher']!s:>10}")
+    plain = [solve(torch.tensor([i]), PLAIN).energy.item() for i in range(config.adam)]
+    answer["plain_one_ms"] = median_ms(lambda i: solve(torch.tensor([i]), PLAIN), config.adam)
+    with torch.enable_grad():
+        began = time.perf_counter()
+        adam = [refine_with_adam(prior, *problem(torch.tensor([i]))).energy.item() for i in range(config.adam)]
+        answer["adam_one_ms"] = 1e3 * (time.perf_counter() - began) / config.adam
+    answer["adam_over_ours"] = answer["adam_one_ms"] / answer["plain_one_ms"]
+    answer["energy_ours"], answer["energy_adam"] = float(np.median(plain)), float(np.median(adam))
+    answer["energy_not_higher"] = bool((np.array(plain) <= np.array(adam) * (1 + 1e-6)).all())
+    print(json.dumps(answer) if config.json else "\n".join(f"{key}: {value}" for key, value in answer.items()))
 
 
 if __name__ == "__main__":
-    main()
+    main(tyro.cli(Config, description=__doc__))

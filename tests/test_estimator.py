@@ -9,7 +9,7 @@ import yourdfpy
 
 import omad
 from omad.checkpoint import shipped_categories
-from omad.estimator import Estimator
+from omad.estimator import Estimator, EstimatorConfig
 from omad.evaluation import true_pose
 from omad.sources.procedural import generate
 from omad.standard_views import View, standard_view
@@ -125,6 +125,32 @@ def test_waypoints_follow_the_joint(estimator):
     assert np.allclose(path[-1], moved[:3], atol=1e-5)
     with pytest.raises(omad.InputError, match="does not move"):
         estimate.waypoints(estimator.category.parts[0].name, point, target)
+
+
+def test_what_is_known_is_kept_and_helps(estimator):
+    view = some_views(estimator, 1)[0]
+    observation, truth = observe(view), true_pose(view, estimator.category)
+    down = -view.T_camera_base[:3, 1]
+    plain = estimator(observation)
+    known = omad.Known(beta=plain.beta, joint_states=view.states, gravity=down)
+    held = estimator(observation, known)
+    assert np.allclose(held.beta, plain.beta, atol=1e-6)
+    assert np.allclose(held.joint_states, view.states, atol=1e-6)
+    assert np.allclose(-held.T_camera_base[:3, 1], down, atol=1e-5)
+    assert held.joints[0].state_std == 0
+    assert np.linalg.norm(held.T_camera_part[0] - truth.T_camera_part[0]) < 0.5
+    with pytest.raises(omad.InputError, match="known gravity"):
+        estimator(observation, omad.Known(gravity=np.zeros(3)))
+    with pytest.raises(omad.InputError, match="known beta"):
+        estimator(observation, omad.Known(beta=np.zeros(3)))
+
+
+def test_adam_recipe_is_an_option_and_agrees(estimator):
+    observation = observe(some_views(estimator, 1)[0])
+    adam = Estimator(estimator.net, EstimatorConfig(method="adam"))(observation)
+    ours = estimator(observation)
+    assert np.degrees(abs(adam.joints[0].state - ours.joints[0].state)) < 5
+    assert adam.seconds["refinement"] > 10 * ours.seconds["refinement"]
 
 
 def test_show_draws_a_picture(estimator, tmp_path):

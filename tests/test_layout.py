@@ -45,6 +45,7 @@ ORDER = [
     "refinement_kernel",
     "refinement",
     "adam_recipe",
+    "known",
     "runtime",
     "training",
     "checkpoint",

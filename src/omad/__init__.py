@@ -10,13 +10,14 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
-__all__ = ["Estimate", "Estimator", "EstimatorConfig", "InputError", "Observation", "get_category", "show"]
+__all__ = ["Estimate", "Estimator", "EstimatorConfig", "InputError", "Known", "Observation", "get_category", "show"]
 
 _HOMES = {
     "Estimate": "estimate",
     "Estimator": "estimator",
     "EstimatorConfig": "estimator",
     "InputError": "errors",
+    "Known": "known",
     "Observation": "observation",
     "get_category": "categories",
     "show": "report",
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
     from .errors import InputError
     from .estimate import Estimate
     from .estimator import Estimator, EstimatorConfig
+    from .known import Known
     from .observation import Observation
     from .report import show
 

@@ -19,12 +19,13 @@ from .checkpoint import find_weights, load_net, load_priornet, save_net, save_pr
 from .demo import run_demo
 from .depth_noise import LEVELS
 from .errors import InputError
-from .estimator import Estimator
+from .estimator import Estimator, EstimatorConfig
 from .evaluation import draw_worst, evaluate, summary
 from .files import read_cloud, read_depth, read_intrinsics, read_mask, write_atomic
 from .keypoint_check import keypoint_spread
 from .objects import ObjectModel
 from .observation import Observation
+from .pointnet2 import PAPER_SIZE, SLIM
 from .report import describe, figure, save
 from .runtime import keep_freed_memory, pick_device
 from .sources.folder import load_folder
@@ -251,12 +252,14 @@ class TrainNet(_Training):
     """Checkpoint folder of the prior; default: the shipped one."""
     initial: Path | None = None
     """OMADNet checkpoint to fine-tune (with the same prior)."""
+    size: Literal["slim", "paper"] = "slim"
+    """slim: fast on a CPU; paper: the paper's PointNet++."""
 
     def run(self) -> Result:
         category, models, schedule, device = self.prepare(NetTraining().schedule)
         prior = load_priornet(self.prior or find_weights(self.category) / "prior")
         initial = None if self.initial is None else load_net(self.initial)
-        settings = NetTraining(schedule=schedule)
+        settings = NetTraining(schedule=schedule, backbone=PAPER_SIZE if self.size == "paper" else SLIM)
         net = train_net(models, category, prior, self.output, settings, device, initial)
         save_net(net, self.output, self.record(schedule))
         return 0, {"checkpoint": str(self.output)}
@@ -276,6 +279,8 @@ class EvalPose:
     seed: int = 0
     depth_noise: bool = False
     """Simulate the depth camera's noise."""
+    method: Literal["least_squares", "adam"] = "least_squares"
+    """How to refine; adam: the paper's own recipe, for comparison."""
     pictures: Path | None = None
     """Folder for pictures of the worst views."""
     weights: Weights = None
@@ -283,7 +288,8 @@ class EvalPose:
     json: Json = False
 
     def run(self) -> Result:
-        estimator = Estimator.from_pretrained(self.weights or self.category, self.device)
+        config = EstimatorConfig(method=self.method)
+        estimator = Estimator.from_pretrained(self.weights or self.category, self.device, config)
         category = estimator.category
         refused: list[dict[str, str]] = []
         if self.source != "procedural" and (Path(self.source) / "dataset.json").is_file():

@@ -12,24 +12,26 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import overload
+from typing import Literal, overload
 
 import numpy as np
 import torch
 from scipy.spatial import KDTree
 from torch import Tensor
 
+from .adam_recipe import AdamResult, refine_with_adam
 from .categories import Category
 from .checkpoint import find_weights, load_net
 from .estimate import Estimate, InitialEstimate, JointEstimate
 from .geometry import transform_points
 from .kinematics import joint_lines, part_transforms
+from .known import Known
 from .observation import Observation
 from .omadnet import OmadNet, Prediction, first_frame, to_input_frame
 from .refinement import Refined, RefinementConfig, State, Targets, refine
 from .runtime import pick_device
 
-MIN_POINTS = 50
+NOTHING_KNOWN = Known()
 
 
 @dataclass(frozen=True)
@@ -40,6 +42,8 @@ class EstimatorConfig:
     """Per look, how many random choices of the points it averages. The first look only has to find the frame."""
     refinement: RefinementConfig = RefinementConfig(step_tolerance=1e-4, cost_tolerance=1e-5)
     """Tolerances a hundred times below the network's own error: half the iterations of the defaults."""
+    method: Literal["least_squares", "adam"] = "least_squares"
+    """'adam' is the paper's own recipe, for comparison: slow, and it gives no covariance."""
     seed: int = 0
     """Which points are chosen; the same observation and seed give the same estimate."""
     batch: int = 128
@@ -76,18 +80,21 @@ class Estimator:
         return self.net.category
 
     @overload
-    def __call__(self, observation: Observation) -> Estimate: ...
+    def __call__(self, observation: Observation, known: Known = NOTHING_KNOWN) -> Estimate: ...
     @overload
-    def __call__(self, observation: Sequence[Observation]) -> list[Estimate]: ...
-    def __call__(self, observation: Observation | Sequence[Observation]) -> Estimate | list[Estimate]:
-        """Estimate one observation, or several as a batch."""
+    def __call__(self, observation: Sequence[Observation], known: Known = NOTHING_KNOWN) -> list[Estimate]: ...
+    def __call__(
+        self, observation: Observation | Sequence[Observation], known: Known = NOTHING_KNOWN
+    ) -> Estimate | list[Estimate]:
+        """Estimate one observation, or several as a batch. What is ``known`` holds for all of them, and is kept."""
+        known.check(self.category, self.net.prior.basis_size)
         if isinstance(observation, Observation):
-            return self._estimate([observation])[0]
+            return self._estimate([observation], known)[0]
         size = self.config.batch
-        return [e for i in range(0, len(observation), size) for e in self._estimate(observation[i : i + size])]
+        return [e for i in range(0, len(observation), size) for e in self._estimate(observation[i : i + size], known)]
 
     @torch.no_grad()
-    def _estimate(self, observations: Sequence[Observation]) -> list[Estimate]:
+    def _estimate(self, observations: Sequence[Observation], known: Known) -> list[Estimate]:
         began = time.perf_counter()
         clouds, chosen = self._sample(observations)
         frame = first_frame(clouds.flatten(1, 2))
@@ -99,7 +106,7 @@ class Estimator:
             network += self._lap(began)
             began = time.perf_counter()
             first = first or look
-            refined = self._refine(look.targets, start or look.state)
+            refined = self._refine(look.targets, start or look.state, known)
             start, frame = refined.state, refined.state.T_camera_base
             refinement += self._lap(began)
             began = time.perf_counter()
@@ -148,9 +155,15 @@ class Estimator:
             part_logits=said.part_logits.unflatten(0, (batch, samples)).flatten(1, 2),
         )
 
-    def _refine(self, targets: Targets, start: State) -> Refined:
+    def _refine(self, targets: Targets, start: State, known: Known) -> Refined:
+        prior = self.net.prior
+        start = known.impose(start, self.category)
+        if self.config.method == "adam":
+            with torch.enable_grad():
+                return _as_refined(refine_with_adam(prior, targets, start))
         limits = torch.tensor([j.limits for j in self.category.joints], device=self.device)
-        return refine(self.net.prior, targets, start, limits.expand(len(start.beta), -1, -1), self.config.refinement)
+        free = known.free(self.category, prior.basis_size)
+        return refine(prior, targets, start, limits, self.config.refinement, free)
 
     def _answers(self, observations, chosen, first: _Look, last: _Look, refined: Refined, seconds) -> list[Estimate]:
         category, prior, unit = self.category, self.net.prior, self.category.metres_per_unit
@@ -253,6 +266,13 @@ class _Placed:
                 )
             )
         return tuple(answers)
+
+
+def _as_refined(adam: AdamResult) -> Refined:
+    """Adam's result in the form of the least-squares one; it knows nothing of covariance."""
+    size = 6 + adam.state.joint_states.shape[1] + adam.state.beta.shape[1]
+    unknown = torch.full((len(adam.energy), size, size), torch.nan)
+    return Refined(adam.state, unknown, adam.converged, adam.steps, adam.energy, adam.loss)
 
 
 def _numpy(tensor: Tensor) -> np.ndarray:

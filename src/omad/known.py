@@ -1,0 +1,67 @@
+"""What is known of an object before it is looked at: held fixed while the rest is estimated."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from .categories import Category
+from .errors import InputError
+from .geometry import make_transform, so3_exp
+from .refinement import State, free_directions
+
+
+@dataclass(frozen=True)
+class Known:
+    """Knowledge that holds for every observation of a call. Leave out what is not known."""
+
+    beta: np.ndarray | None = None
+    """(D,) shape parameters, of the same object estimated earlier, say."""
+    joint_states: np.ndarray | None = None
+    """(J,) radians or metres; NaN for a joint whose state is not known."""
+    gravity: np.ndarray | None = None
+    """(3,) direction in the camera frame, for an object that stands upright."""
+
+    def check(self, category: Category, basis_size: int) -> None:
+        """Raises InputError for a wrong shape."""
+        shapes = {"beta": (basis_size,), "joint_states": (len(category.joints),), "gravity": (3,)}
+        for name, shape in shapes.items():
+            value = getattr(self, name)
+            if value is not None and np.shape(value) != shape:
+                raise InputError(f"known {name}: shape {np.shape(value)}, expected {shape}")
+        if self.gravity is not None and not np.linalg.norm(self.gravity) > 0:
+            raise InputError("known gravity: a direction is needed, got a zero or NaN vector")
+
+    def impose(self, start: State, category: Category) -> State:
+        """``start`` (category units) with the known values in place of its own."""
+        beta, states, pose = start.beta, start.joint_states, start.T_camera_base
+        if self.beta is not None:
+            beta = torch.as_tensor(self.beta).to(beta).expand_as(beta).clone()
+        if self.joint_states is not None:
+            lengths = [1.0 if joint.type == "revolute" else category.metres_per_unit for joint in category.joints]
+            known = torch.as_tensor(np.asarray(self.joint_states) / lengths).to(states)
+            states = torch.where(known.isnan(), states, known)
+        if self.gravity is not None:
+            pose = _upright(pose, torch.as_tensor(np.asarray(self.gravity)).to(pose))
+        return State(beta, states, pose)
+
+    def free(self, category: Category, basis_size: int) -> Tensor:
+        """Directions (P, F) that are left to be estimated."""
+        held = [False] * len(category.joints)
+        if self.joint_states is not None:
+            held = np.isfinite(self.joint_states).tolist()
+        gravity = None if self.gravity is None else tuple(np.asarray(self.gravity, dtype=float))
+        return free_directions(len(held), basis_size, self.beta is not None, held, gravity=gravity)
+
+
+def _upright(pose: Tensor, gravity: Tensor) -> Tensor:
+    """Turn each base (B, 4, 4) by the smallest rotation that brings its down direction to ``gravity``."""
+    down = -pose[:, :3, 1]
+    goal = (gravity / gravity.norm()).expand_as(down)
+    axis = torch.linalg.cross(down, goal, dim=-1)
+    sine, cosine = axis.norm(dim=-1, keepdim=True), (down * goal).sum(-1, keepdim=True)
+    turn = so3_exp(axis / sine.clamp(min=1e-9) * torch.atan2(sine, cosine))
+    return make_transform(turn @ pose[:, :3, :3], pose[:, :3, 3])
