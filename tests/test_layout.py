@@ -31,6 +31,7 @@ ORDER = [
     "sources.procedural.laptop",
     "sources.procedural.dishwasher",
     "sources.procedural",
+    "sources.select",
     "render",
     "standard_views",
     "view_folder",
@@ -60,7 +61,10 @@ ORDER = [
     "view_check",
     "demo",
     "tables",
+    "options",
     "commands",
+    "commands_train",
+    "commands_eval",
     "cli",
 ]
 
@@ -102,7 +106,7 @@ def test_imports_point_upwards(name):
 
 
 def test_files_stay_short():
-    long = {path.name: n for path in modules().values() if (n := len(path.read_text().splitlines())) > 420}
+    long = {path.name: n for path in modules().values() if (n := len(path.read_text().splitlines())) > 400}
     assert not long
 
 

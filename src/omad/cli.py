@@ -14,19 +14,21 @@ os.environ.setdefault("GOMP_SPINCOUNT", "0")
 import tyro
 
 from . import commands as c
+from . import commands_eval as e
+from . import commands_train as t
 from .errors import InputError
 from .tables import readable
 
 _ABOUT = "Shape, pose, joint states and joint axes of unseen articulated objects from one depth view."
 _name = tyro.conf.subcommand
 _Train = Annotated[
-    Annotated[c.TrainPrior, _name("prior")] | Annotated[c.TrainNet, _name("net")],
+    Annotated[t.TrainPrior, _name("prior")] | Annotated[t.TrainNet, _name("net")],
     _name("train", description="Train a category: first its prior, then its network."),
 ]
 _Eval = Annotated[
-    Annotated[c.EvalPose, _name("pose")]
-    | Annotated[c.EvalKeypoints, _name("keypoints")]
-    | Annotated[c.EvalViews, _name("views")],
+    Annotated[e.EvalPose, _name("pose")]
+    | Annotated[e.EvalKeypoints, _name("keypoints")]
+    | Annotated[e.EvalViews, _name("views")],
     _name("eval", description="Measure accuracy on objects with known truth."),
 ]
 _Command = (

@@ -5,46 +5,33 @@ from __future__ import annotations
 import platform
 import sys
 import time
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Literal
 
 import numpy as np
 import torch
 import tyro
 
 from . import __version__
-from .categories import CATEGORIES, Category, get_category
-from .checkpoint import find_weights, load_net, load_priornet, save_net, save_priornet, shipped_categories
+from .categories import CATEGORIES, get_category
+from .checkpoint import find_weights, load_net, save_net, shipped_categories
 from .demo import run_demo
 from .depth_noise import LEVELS
 from .errors import InputError
-from .estimator import Estimator, EstimatorConfig
-from .evaluation import draw_worst, evaluate, summary
+from .estimator import Estimator
 from .files import read_cloud, read_depth, read_intrinsics, read_mask, write_atomic
-from .keypoint_check import keypoint_spread
-from .objects import ObjectModel
 from .observation import Observation
-from .pointnet2 import PAPER_SIZE, SLIM
+from .options import Device, Json, Result, Weights
 from .report import describe, figure, save
-from .runtime import keep_freed_memory, pick_device
-from .sources.folder import load_folder
+from .runtime import pick_device
 from .sources.procedural import generate
-from .standard_views import standard_views
-from .train_net import NetTraining, train_net
-from .train_prior import PriorTraining, train_prior
-from .training import Schedule
+from .sources.select import load_models
 from .urdf import write_urdf
-from .view_check import compare_views
-from .view_folder import open_views, render_to_folder
+from .view_folder import render_to_folder
 
 DEPTH_FILES = (".png", ".npy")
 CLOUD_FILES = (".ply", ".pcd", ".xyz", ".npz")
-
-Json = Annotated[bool, tyro.conf.arg(help="Print one JSON object on stdout and nothing else there.")]
-Device = Annotated[str, tyro.conf.arg(help="cpu, cuda, or auto: CUDA where there is one.")]
-Weights = Annotated[Path | None, tyro.conf.arg(help="Checkpoint folder in place of the shipped weights.")]
-Result = tuple[int, dict[str, Any]]
 
 
 @dataclass(frozen=True)
@@ -193,160 +180,6 @@ class Render:
 
 
 @dataclass(frozen=True)
-class _Training:
-    """Options that both trainings share."""
-
-    category: str
-    output: Path
-    """Folder for the checkpoint, the state to resume from, and the metrics. The same command resumes."""
-    source: str = "procedural"
-    """procedural, or a folder of URDF / PartNet-Mobility models."""
-    objects: int = 1000
-    """Procedural objects."""
-    steps: int | None = None
-    """Optimiser steps; default: the preset's."""
-    batch: int | None = None
-    """Samples a step; default: the preset's."""
-    max_minutes: float | None = None
-    """Finish within this time, learning-rate decay and all."""
-    seed: int = 0
-    threads: int = 0
-    """CPU threads; 0: PyTorch's choice. One is faster than two where another program computes."""
-    device: Device = "auto"
-    json: Json = False
-
-    def prepare(self, schedule: Schedule) -> tuple[Category, list[ObjectModel], Schedule, torch.device]:
-        keep_freed_memory()
-        if self.threads:
-            torch.set_num_threads(self.threads)
-        category = get_category(self.category)
-        models = load_models(self.source, category, self.objects, "train", 0).models
-        schedule = replace(schedule, seed=self.seed, max_minutes=self.max_minutes)
-        if self.steps is not None:
-            schedule = replace(schedule, steps=self.steps)
-        if self.batch is not None:
-            schedule = replace(schedule, batch=self.batch)
-        return category, models, schedule, pick_device(self.device)
-
-    def record(self, schedule: Schedule) -> dict[str, Any]:
-        """What a checkpoint remembers of its training."""
-        return {"source": self.source, "objects": self.objects, "schedule": asdict(schedule), "version": __version__}
-
-
-@dataclass(frozen=True)
-class TrainPrior(_Training):
-    """Learn a category's prior (shape basis, joint function) from complete clouds, without keypoint labels."""
-
-    def run(self) -> Result:
-        category, models, schedule, device = self.prepare(PriorTraining().schedule)
-        net = train_prior(models, category, self.output, PriorTraining(schedule=schedule), device)
-        save_priornet(net, self.output, self.record(schedule))
-        return 0, {"checkpoint": str(self.output)}
-
-
-@dataclass(frozen=True)
-class TrainNet(_Training):
-    """Train OMADNet on endless views of a category's objects."""
-
-    prior: Path | None = None
-    """Checkpoint folder of the prior; default: the shipped one."""
-    initial: Path | None = None
-    """OMADNet checkpoint to fine-tune (with the same prior)."""
-    size: Literal["slim", "paper"] = "slim"
-    """slim: fast on a CPU; paper: the paper's PointNet++."""
-
-    def run(self) -> Result:
-        category, models, schedule, device = self.prepare(NetTraining().schedule)
-        prior = load_priornet(self.prior or find_weights(self.category) / "prior")
-        initial = None if self.initial is None else load_net(self.initial)
-        settings = NetTraining(schedule=schedule, backbone=PAPER_SIZE if self.size == "paper" else SLIM)
-        net = train_net(models, category, prior, self.output, settings, device, initial)
-        save_net(net, self.output, self.record(schedule))
-        return 0, {"checkpoint": str(self.output)}
-
-
-@dataclass(frozen=True)
-class EvalPose:
-    """Measure pose, joint states and joint axes on views of unseen objects, before and after refinement."""
-
-    category: str
-    source: str = "procedural"
-    """procedural, a folder of URDF / PartNet-Mobility models, or a folder that ``omad render`` made."""
-    objects: int = 20
-    """Procedural objects."""
-    views: int = 200
-    """In total, dealt out to the objects."""
-    seed: int = 0
-    depth_noise: bool = False
-    """Simulate the depth camera's noise."""
-    method: Literal["least_squares", "adam"] = "least_squares"
-    """How to refine; adam: the paper's own recipe, for comparison."""
-    pictures: Path | None = None
-    """Folder for pictures of the worst views."""
-    weights: Weights = None
-    device: Device = "cpu"
-    json: Json = False
-
-    def run(self) -> Result:
-        config = EstimatorConfig(method=self.method)
-        estimator = Estimator.from_pretrained(self.weights or self.category, self.device, config)
-        category = estimator.category
-        refused: list[dict[str, str]] = []
-        if self.source != "procedural" and (Path(self.source) / "dataset.json").is_file():
-            folder = open_views(self.source)
-            if folder.category != category.name:
-                raise InputError(f"{self.source}: views of {folder.category}, not of {category.name}")
-            views, total = iter(folder), len(folder)
-        else:
-            source = load_models(self.source, category, self.objects, "test", self.seed)
-            noise = LEVELS["on" if self.depth_noise else "off"]
-            views, total = standard_views(source.models, category, self.views, self.seed, noise), self.views
-            refused = source.refused
-        results = evaluate(estimator, views, total)
-        answer = summary(results, category, self.source) | {"depth_noise": self.depth_noise, "refused": refused}
-        if self.pictures is not None:
-            answer["pictures"] = draw_worst(results, category, self.pictures)
-        return (1 if answer["failures"] == len(results) else 0), answer
-
-
-@dataclass(frozen=True)
-class EvalKeypoints:
-    """Show that keypoints correspond: how far each one's place in its part wanders between unseen objects."""
-
-    category: str
-    objects: int = 100
-    """Procedural objects, whose semantic places are known."""
-    seed: int = 0
-    weights: Weights = None
-    """Prior checkpoint folder in place of the shipped one."""
-    json: Json = False
-
-    def run(self) -> Result:
-        net = load_priornet(self.weights or find_weights(self.category) / "prior")
-        models = [generate(net.category, index, "test", self.seed) for index in range(self.objects)]
-        return 0, asdict(keypoint_spread(net, models))
-
-
-@dataclass(frozen=True)
-class EvalViews:
-    """Show that training views are like rendered ones: the error of the network's first look on both."""
-
-    category: str
-    objects: int = 20
-    views: int = 1000
-    """Of each kind."""
-    seed: int = 0
-    weights: Weights = None
-    json: Json = False
-
-    def run(self) -> Result:
-        folder = find_weights(self.weights or self.category)
-        net, priornet = load_net(folder), load_priornet(folder / "prior")
-        models = [generate(net.category, index, "test", self.seed) for index in range(self.objects)]
-        return 0, asdict(compare_views(net, priornet, models, self.views, self.seed))
-
-
-@dataclass(frozen=True)
 class Export:
     """Write a checkpoint folder that is complete alone (network, prior, category spec), for other programs."""
 
@@ -387,26 +220,6 @@ class Info:
             "numpy": np.__version__,
             "python": platform.python_version(),
         }
-
-
-@dataclass(frozen=True)
-class ModelSource:
-    models: list[ObjectModel]
-    refused: list[dict[str, str]] = field(default_factory=list)
-
-
-def load_models(
-    source: str, category: Category, objects: int, split: Literal["train", "test"], seed: int
-) -> ModelSource:
-    """Procedural objects, or those of a folder that fit; raises InputError where none does."""
-    if source == "procedural":
-        return ModelSource([generate(category, index, split, seed) for index in range(objects)])
-    found = load_folder(source, category)
-    for refusal in found.refused:
-        print(f"left out {refusal.name}: {refusal.reason}", file=sys.stderr)
-    if not found.models:
-        raise InputError(f"{source}: none of its {len(found.refused)} models fits {category.name} (reasons above)")
-    return ModelSource(found.models, [asdict(refusal) for refusal in found.refused])
 
 
 def _input_files(path: Path) -> list[Path]:

@@ -1,0 +1,101 @@
+"""The evaluation commands."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Literal
+
+from .checkpoint import find_weights, load_net, load_priornet
+from .depth_noise import LEVELS
+from .errors import InputError
+from .estimator import Estimator, EstimatorConfig
+from .evaluation import draw_worst, evaluate, summary
+from .keypoint_check import keypoint_spread
+from .options import Device, Json, Result, Weights
+from .sources.procedural import generate
+from .sources.select import load_models
+from .standard_views import standard_views
+from .view_check import compare_views
+from .view_folder import open_views
+
+
+@dataclass(frozen=True)
+class EvalPose:
+    """Measure pose, joint states and joint axes on views of unseen objects, before and after refinement."""
+
+    category: str
+    source: str = "procedural"
+    """procedural, a folder of URDF / PartNet-Mobility models, or a folder that ``omad render`` made."""
+    objects: int = 20
+    """Procedural objects."""
+    views: int = 200
+    """In total, dealt out to the objects."""
+    seed: int = 0
+    depth_noise: bool = False
+    """Simulate the depth camera's noise."""
+    method: Literal["least_squares", "adam"] = "least_squares"
+    """How to refine; adam: the paper's own recipe, for comparison."""
+    pictures: Path | None = None
+    """Folder for pictures of the worst views."""
+    weights: Weights = None
+    device: Device = "cpu"
+    json: Json = False
+
+    def run(self) -> Result:
+        config = EstimatorConfig(method=self.method)
+        estimator = Estimator.from_pretrained(self.weights or self.category, self.device, config)
+        category = estimator.category
+        refused: list[dict[str, str]] = []
+        if self.source != "procedural" and (Path(self.source) / "dataset.json").is_file():
+            folder = open_views(self.source)
+            if folder.category != category.name:
+                raise InputError(f"{self.source}: views of {folder.category}, not of {category.name}")
+            views, total = iter(folder), len(folder)
+        else:
+            source = load_models(self.source, category, self.objects, "test", self.seed)
+            noise = LEVELS["on" if self.depth_noise else "off"]
+            views, total = standard_views(source.models, category, self.views, self.seed, noise), self.views
+            refused = source.refused
+        results = evaluate(estimator, views, total)
+        answer = summary(results, category, self.source) | {"depth_noise": self.depth_noise, "refused": refused}
+        if self.pictures is not None:
+            answer["pictures"] = draw_worst(results, category, self.pictures)
+        return (1 if answer["failures"] == len(results) else 0), answer
+
+
+@dataclass(frozen=True)
+class EvalKeypoints:
+    """Show that keypoints correspond: how far each one's place in its part wanders between unseen objects."""
+
+    category: str
+    objects: int = 100
+    """Procedural objects, whose semantic places are known."""
+    seed: int = 0
+    weights: Weights = None
+    """Prior checkpoint folder in place of the shipped one."""
+    json: Json = False
+
+    def run(self) -> Result:
+        net = load_priornet(self.weights or find_weights(self.category) / "prior")
+        models = [generate(net.category, index, "test", self.seed) for index in range(self.objects)]
+        return 0, asdict(keypoint_spread(net, models))
+
+
+@dataclass(frozen=True)
+class EvalViews:
+    """Show that training views are like rendered ones: the error of the network's first look on both."""
+
+    category: str
+    objects: int = 20
+    views: int = 1000
+    """Of each kind."""
+    seed: int = 0
+    weights: Weights = None
+    json: Json = False
+
+    def run(self) -> Result:
+        folder = find_weights(self.weights or self.category)
+        net, priornet = load_net(folder), load_priornet(folder / "prior")
+        models = [generate(net.category, index, "test", self.seed) for index in range(self.objects)]
+        return 0, asdict(compare_views(net, priornet, models, self.views, self.seed))

@@ -1,0 +1,94 @@
+"""The training commands."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import torch
+
+from . import __version__
+from .categories import Category, get_category
+from .checkpoint import find_weights, load_net, load_priornet, save_net, save_priornet
+from .objects import ObjectModel
+from .options import Device, Json, Result
+from .pointnet2 import PAPER_SIZE, SLIM
+from .runtime import keep_freed_memory, pick_device
+from .sources.select import load_models
+from .train_net import NetTraining, train_net
+from .train_prior import PriorTraining, train_prior
+from .training import Schedule
+
+
+@dataclass(frozen=True)
+class _Training:
+    """Options that both trainings share."""
+
+    category: str
+    output: Path
+    """Folder for the checkpoint, the state to resume from, and the metrics. The same command resumes."""
+    source: str = "procedural"
+    """procedural, or a folder of URDF / PartNet-Mobility models."""
+    objects: int = 1000
+    """Procedural objects."""
+    steps: int | None = None
+    """Optimiser steps; default: the preset's."""
+    batch: int | None = None
+    """Samples a step; default: the preset's."""
+    max_minutes: float | None = None
+    """Finish within this time, learning-rate decay and all."""
+    seed: int = 0
+    threads: int = 0
+    """CPU threads; 0: PyTorch's choice. One is faster than two where another program computes."""
+    device: Device = "auto"
+    json: Json = False
+
+    def prepare(self, schedule: Schedule) -> tuple[Category, list[ObjectModel], Schedule, torch.device]:
+        keep_freed_memory()
+        if self.threads:
+            torch.set_num_threads(self.threads)
+        category = get_category(self.category)
+        models = load_models(self.source, category, self.objects, "train", 0).models
+        schedule = replace(schedule, seed=self.seed, max_minutes=self.max_minutes)
+        if self.steps is not None:
+            schedule = replace(schedule, steps=self.steps)
+        if self.batch is not None:
+            schedule = replace(schedule, batch=self.batch)
+        return category, models, schedule, pick_device(self.device)
+
+    def record(self, schedule: Schedule) -> dict[str, Any]:
+        """What a checkpoint remembers of its training."""
+        return {"source": self.source, "objects": self.objects, "schedule": asdict(schedule), "version": __version__}
+
+
+@dataclass(frozen=True)
+class TrainPrior(_Training):
+    """Learn a category's prior (shape basis, joint function) from complete clouds, without keypoint labels."""
+
+    def run(self) -> Result:
+        category, models, schedule, device = self.prepare(PriorTraining().schedule)
+        net = train_prior(models, category, self.output, PriorTraining(schedule=schedule), device)
+        save_priornet(net, self.output, self.record(schedule))
+        return 0, {"checkpoint": str(self.output)}
+
+
+@dataclass(frozen=True)
+class TrainNet(_Training):
+    """Train OMADNet on endless views of a category's objects."""
+
+    prior: Path | None = None
+    """Checkpoint folder of the prior; default: the shipped one."""
+    initial: Path | None = None
+    """OMADNet checkpoint to fine-tune (with the same prior)."""
+    size: Literal["slim", "paper"] = "slim"
+    """slim: fast on a CPU; paper: the paper's PointNet++."""
+
+    def run(self) -> Result:
+        category, models, schedule, device = self.prepare(NetTraining().schedule)
+        prior = load_priornet(self.prior or find_weights(self.category) / "prior")
+        initial = None if self.initial is None else load_net(self.initial)
+        settings = NetTraining(schedule=schedule, backbone=PAPER_SIZE if self.size == "paper" else SLIM)
+        net = train_net(models, category, prior, self.output, settings, device, initial)
+        save_net(net, self.output, self.record(schedule))
+        return 0, {"checkpoint": str(self.output)}
