@@ -30,6 +30,7 @@ from .observation import Observation
 from .omadnet import OmadNet, Prediction, first_frame, to_input_frame
 from .refinement import Refined, RefinementConfig, State, Targets, refine
 from .runtime import pick_device
+from .views import choose_points
 
 NOTHING_KNOWN = Known()
 
@@ -121,16 +122,11 @@ class Estimator:
 
     def _sample(self, observations: Sequence[Observation]) -> tuple[Tensor, list[np.ndarray]]:
         """Random points of each cloud, in category units: (B, samples of all looks, n, 3), and which they are."""
-        samples = sum(self.config.samples)
-        wanted = samples * self.net.backbone.config.points
+        samples, size = sum(self.config.samples), self.net.backbone.config.points
         chosen = []
         for observation in observations:
             rng = np.random.default_rng(self.config.seed)  # anew, so that a batch gives what single calls give
-            count = len(observation.points)
-            order = rng.permutation(count)[:wanted]
-            # too few points: repeat them, shuffled anew each time, so that every choice is a fair one
-            more = [rng.permutation(count) for _ in range(-(-wanted // count) - 1)]
-            chosen.append(np.concatenate([order, *more])[:wanted])
+            chosen.append(np.concatenate([choose_points(observation.points, size, rng) for _ in range(samples)]))
         points = np.stack([o.points[index] for o, index in zip(observations, chosen, strict=True)])
         clouds = torch.as_tensor(points / self.category.metres_per_unit, dtype=torch.float32, device=self.device)
         return clouds.unflatten(1, (samples, -1)), chosen

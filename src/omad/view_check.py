@@ -15,7 +15,7 @@ from .priornet import PriorNet
 from .standard_views import standard_views
 from .train_net import view_truth
 from .train_prior import object_keypoints
-from .views import SurfaceBank, ViewBatch, ViewSettings, draw_views
+from .views import SurfaceBank, ViewBatch, ViewSettings, choose_points, draw_views
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ def _rendered(models: Sequence[ObjectModel], bank: SurfaceBank, net: OmadNet, vi
     index, clouds, states, poses = [], [], [], []
     for number, view in enumerate(standard_views(models, net.category, views, seed)):
         cloud = Observation.from_depth(view.depth, view.camera).points
-        clouds.append(cloud[rng.choice(len(cloud), points, replace=len(cloud) < points)] / unit)
+        clouds.append(cloud[choose_points(cloud, points, rng)] / unit)
         states.append(np.where(prismatic, view.states / unit, view.states))
         poses.append(view.T_camera_base)
         index.append(number % len(models))

@@ -25,6 +25,8 @@ from .viewpoints import sample_poses, sample_states, uniform
 
 GRID = 48
 """Cells of the point z-buffer across the object's bounding sphere."""
+CELLS_SEEN = 40
+"""Cells across an observed cloud: of the same size, as a cloud fills about 0.85 of its object's sphere."""
 
 
 @dataclass(frozen=True)
@@ -197,6 +199,19 @@ def visible(points: Tensor, centre: Tensor, radius: Tensor) -> Tensor:
     nearest = torch.full((batch, cells * cells), torch.inf, dtype=depth.dtype, device=depth.device)
     nearest.scatter_reduce_(1, cell, depth, "amin")
     return depth <= nearest.gather(1, cell)
+
+
+def choose_points(points: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
+    """Indices (count,) of points of an observed cloud (N, 3), spread over the image as those of training views are.
+
+    A random point of each image cell, then a random choice of cells; where there are too few cells, they repeat.
+    """
+    some = rng.permutation(len(points))[:8192]
+    rays = points[some, :2] / points[some, 2:]
+    low, high = rays.min(0), rays.max(0)
+    cell = np.floor((rays - low) / ((high - low).max() / CELLS_SEEN + 1e-9)).astype(np.int64)
+    _, first = np.unique(cell[:, 0] * 100_000 + cell[:, 1], return_index=True)
+    return np.resize(some[rng.permutation(first)], count)
 
 
 def _carry(T: Tensor, vectors: Tensor, labels: Tensor, direction: bool = False) -> Tensor:
