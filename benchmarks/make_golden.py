@@ -2,7 +2,7 @@
 
     python benchmarks/make_golden.py
 
-Writes ``tests/data/golden_<category>.npz``: 24 standard views of 12 objects, noise off and on in turn, 1200 points each,
+Writes ``tests/data/golden_<category>.npz``: 24 standard views of 12 objects, noise off and on in turn, 1200 points
 stored in steps of 0.2 mm.
 """
 

@@ -1,0 +1,96 @@
+"""README and guide do what they say: their Python runs, their commands run as written."""
+
+import re
+import shlex
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from omad.categories import get_category
+from omad.cli import run
+from omad.sources.procedural import generate
+from omad.standard_views import View, standard_view
+from omad.urdf import write_urdf
+
+ROOT = Path(__file__).parent.parent
+README, GUIDE = (ROOT / name for name in ("README.md", "docs/guide.md"))
+
+
+def blocks(path: Path, language: str) -> list[str]:
+    found = re.findall(r"^```(\w*)\n(.*?)^```", path.read_text(), re.S | re.M)
+    return [code for named, code in found if named == language]
+
+
+@pytest.fixture
+def view(tmp_path, monkeypatch) -> View:
+    """A laptop in front of the camera of the README, and the files that the README names."""
+    category = get_category("laptop")
+    view = standard_view(generate(category, 0, "test"), category, (0, 1000))
+    Image.fromarray(np.rint(view.depth * 1000).astype(np.uint16)).save(tmp_path / "depth.png")
+    write_urdf(generate(category, 1, "test"), tmp_path / "models" / "one" / "one.urdf")
+    monkeypatch.chdir(tmp_path)
+    return view
+
+
+@pytest.mark.parametrize("source", [README, GUIDE], ids=lambda path: path.name)
+def test_python_runs(source, view, tmp_path):
+    names = {
+        "depth_m": view.depth,
+        "K": view.camera.K,
+        "mask": view.depth > 0,
+        "folder": tmp_path / "models",
+    }
+    found = blocks(source, "python")
+    assert found
+    for code in found:
+        exec(code, names)
+    if source == README:
+        assert (tmp_path / "laptop.urdf").is_file()
+        assert (tmp_path / "laptop.png").is_file()
+
+
+def commands(path: Path) -> list[list[str]]:
+    lines = [line.split("#")[0].strip() for block in blocks(path, "") for line in block.splitlines()]
+    return [shlex.split(line) for line in lines if line]
+
+
+def test_commands_run_as_written(view, capsys):
+    ran = set()
+    for words in commands(README):
+        if words[:2] in (["omad", "train"], ["omad", "eval"]):
+            continue
+        if words[0] == "omad":
+            assert run(words[1:]) == 0, words
+            ran.add(words[1])
+    assert {"estimate", "generate", "render", "info"} <= ran
+    assert run(["eval", "pose", "--category", "laptop", "--source", "views"]) == 0
+    assert Path("omad-estimate/depth/estimate.json").is_file()
+
+
+def test_long_commands_are_well_formed():
+    """Trainings and full evaluations take too long to run here: their options must at least parse."""
+    for words in commands(README):
+        if words[:2] in (["omad", "train"], ["omad", "eval"]):
+            with pytest.raises(SystemExit) as stop:
+                run([*words[1:], "--help"])
+            assert stop.value.code == 0
+
+
+@pytest.mark.parametrize("target", ["demo", "test"])
+def test_make_targets_exist(target):
+    done = subprocess.run(["make", "-n", target], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "omad demo" in done.stdout or "pytest" in done.stdout
+
+
+def test_links_lead_somewhere():
+    for source in (README, GUIDE):
+        for target in re.findall(r"\]\(([^)#]+)\)", source.read_text()):
+            assert "://" in target or (source.parent / target).exists(), target
+
+
+def test_no_number_was_left_out():
+    assert not re.findall(r"TABLE_[A-Z]+|LIMIT_[A-Z]+", README.read_text())
