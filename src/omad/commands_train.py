@@ -36,6 +36,8 @@ class _Training:
     """Optimiser steps; default: the preset's."""
     batch: int | None = None
     """Samples a step; default: the preset's."""
+    learning_rate: float | None = None
+    """Peak learning rate; default: the preset's. Half of it serves for fine-tuning."""
     max_minutes: float | None = None
     """Finish within this time, learning-rate decay and all."""
     seed: int = 0
@@ -55,6 +57,8 @@ class _Training:
             schedule = replace(schedule, steps=self.steps)
         if self.batch is not None:
             schedule = replace(schedule, batch=self.batch)
+        if self.learning_rate is not None:
+            schedule = replace(schedule, learning_rate=self.learning_rate)
         return category, models, schedule, pick_device(self.device)
 
     def record(self, schedule: Schedule) -> dict[str, Any]:
