@@ -104,8 +104,8 @@ def test_splits_seeds_and_indices_share_no_object(category):
 
 
 def test_a_category_without_generator_is_refused_by_name(category):
-    with pytest.raises(InputError, match=r"'microwave'.*dishwasher, laptop"):
-        generate(replace(category, name="microwave"), 0)
+    with pytest.raises(InputError, match="'toaster'.*" + ", ".join(sorted(GENERATORS))):
+        generate(replace(category, name="toaster"), 0)
 
 
 @pytest.mark.parametrize("arguments", [{"index": -1}, {"index": 0, "seed": -1}, {"index": 0, "seed": 2**32}])
