@@ -6,7 +6,7 @@ import numpy as np
 
 from ...categories import DISHWASHER
 from ...objects import Mesh, ObjectModel
-from .shapes import box, cylinder, hexahedron, merge, slab
+from .shapes import box, cylinder, hexahedron, merge, slab, tube
 
 
 def dishwasher(rng: np.random.Generator, name: str) -> ObjectModel:
@@ -15,7 +15,7 @@ def dishwasher(rng: np.random.Generator, name: str) -> ObjectModel:
     width = rng.uniform(0.42, 0.7)
     depth = rng.uniform(0.42, 0.75)
     height = rng.uniform(0.42, 0.58) if compact else float(np.clip(rng.normal(0.78, 0.12), 0.55, 1.0))
-    wall = rng.uniform(0.008, 0.05)
+    wall = rng.choice([rng.uniform(0.002, 0.01), rng.uniform(0.008, 0.05)])
 
     kick = height * rng.uniform(0.04, 0.18) if rng.random() < 0.65 else height * rng.uniform(0.0, 0.03)
     strip = height * rng.uniform(0.08, 0.2) if rng.random() < 0.4 else height * rng.uniform(0.0, 0.05)
@@ -30,15 +30,16 @@ def dishwasher(rng: np.random.Generator, name: str) -> ObjectModel:
     body = [*_cabinet(rng, width, height, depth, wall, recess, door_low, door_high)]
     body += _front_strips(rng, width, height, door_low, door_high, front)
     body += _top_and_feet(rng, width, height, depth, front)
-    door = _door(rng, door_half, door_low, door_high, back, front)
+    hollow = rng.random() < 0.12
+    door = _door(rng, door_half, door_low, door_high, back, front, hollow)
     if rng.random() < 0.7:
         door += _handle(rng, door_half, door_low, door_high, front)
     if rng.random() < 0.45:
         door += _controls(rng, door_half, door_low, door_high, front)
-    if rng.random() < 0.6:
-        door += _inner_panel(rng, door_half, door_low, door_high, back)
+    if not hollow and rng.random() < 0.6:
+        door += _inner_panel(rng, door_half, door_low, door_high, back, door_half - width / 2 + wall)
 
-    pivot_y = door_low + rng.choice([0.0, rng.uniform(-0.01, 0.03)])
+    pivot_y = door_low + rng.choice([0.0, rng.uniform(-0.01, 0.045)])
     pivot_z = back + rng.uniform(0.0, 0.6) * thickness
     return ObjectModel(
         name=name,
@@ -63,13 +64,17 @@ def _cabinet(rng, width, height, depth, wall, recess, door_low, door_high) -> li
     rear = z0 + wall * rng.uniform(1.0, 3.0)
     if rng.random() < 0.2:
         rear = z1 - depth * rng.uniform(0.3, 0.9)  # a shallow tub: machinery behind
+    elif rng.random() < 0.08:
+        rear = z0  # no back: models of built-in machines often are open there
     solids = [
         box((-x, 0, z0), (-x + wall, height, z1)),
         box((x - wall, 0, z0), (x, height, z1)),
-        box((-x + wall, 0, z0), (x - wall, height, rear)),
         box((-x + wall, ceiling, rear), (x - wall, height, z1 - recess * (ceiling < door_high) - 1e-3)),
         box((-x + wall, 0, rear), (x - wall, floor, z1 - recess * (floor > door_low) - 1e-3)),
     ]
+    if rear == z0:
+        return solids
+    solids.append(box((-x + wall, 0, z0), (x - wall, height, rear)))
     tub = (-x + wall, x - wall, floor, ceiling, rear, -max(recess, 0.0) - 0.03)
     for level in sorted(rng.uniform(0.08, 0.8, int(rng.integers(0, 4)))):
         solids += _rack(rng, tub, level)
@@ -135,16 +140,28 @@ def _top_and_feet(rng, width, height, depth, front) -> list[Mesh]:
     return solids
 
 
-def _door(rng, half, low, high, back, front) -> list[Mesh]:
+def _door(rng, half, low, high, back, front, hollow: bool) -> list[Mesh]:
     """The door's slab: bevelled, rounded, sometimes bowed towards the room."""
     radius, bevel = rng.uniform(0.0, 0.02), rng.uniform(0.0, 0.4) * (front - back)
-    leaf = slab((-half, low, back), (half, high, front), 2, radius, bevel if rng.random() < 0.5 else 0.0)
+    skin = back
+    rims = []
+    if hollow:  # a skin with rims towards the tub
+        skin = front - (front - back) * rng.uniform(0.1, 0.5)
+        rim = rng.uniform(0.003, 0.04)
+        rims = [
+            box((-half, low, back), (-half + rim, high, skin)),
+            box((half - rim, low, back), (half, high, skin)),
+            box((-half + rim, low, back), (half - rim, low + rim, skin)),
+            box((-half + rim, high - rim, back), (half - rim, high, skin)),
+        ]
+        radius = min(radius, rim)
+    leaf = slab((-half, low, skin), (half, high, front), 2, radius, bevel if rng.random() < 0.5 else 0.0)
     if rng.random() < 0.2:
         columns = np.linspace(-half, half, 9)
         bow = rng.uniform(0.01, 0.05)
         curve = front + bow * (1 - (columns / half) ** 2)
-        return [leaf, _bowed(columns, low, high, 0.5 * (front + back), curve)]
-    return [leaf]
+        return [leaf, *rims, _bowed(columns, low, high, 0.5 * (front + skin), curve)]
+    return [leaf, *rims]
 
 
 def _bowed(columns: np.ndarray, low: float, high: float, back: float, curve: np.ndarray) -> Mesh:
@@ -162,7 +179,7 @@ def _handle(rng, half, low, high, front) -> list[Mesh]:
     reach, grip = rng.uniform(0.02, 0.07), rng.uniform(0.006, 0.02)
     span = half * rng.uniform(0.3, 0.95)
     kind = rng.random()
-    if kind < 0.55:
+    if kind < 0.5:
         posts = [
             box((s * span - grip, y - grip, front - 0.003), (s * span + grip, y + grip, front + reach)) for s in (-1, 1)
         ]
@@ -173,9 +190,14 @@ def _handle(rng, half, low, high, front) -> list[Mesh]:
             (span + grip, y + 1.5 * grip, 0),
         )
         return [*posts, slab(low_corner, (*high_corner[:2], front + reach + 0.5 * grip), 2, grip)]
-    if kind < 0.75:
+    if kind < 0.65:  # an arch, bowed towards the room and sometimes up or down
+        s = np.linspace(-1, 1, 9)
+        rise = 1 - np.abs(s) ** rng.uniform(2.0, 8.0)
+        drop = (high - y) * rng.uniform(-0.5, 0.5) * (rng.random() < 0.4)
+        return [tube(np.stack([s * span, y + drop * rise, front - 0.003 + reach * rise], 1), grip)]
+    if kind < 0.78:
         return [box((-span, y - grip, front - 0.003), (span, y + grip, front + 0.6 * reach))]
-    if kind < 0.85:
+    if kind < 0.87:
         return [cylinder((0, y, front - 0.003), (0, y, front + reach), 1.5 * grip)]
     tall, rim = rng.uniform(0.02, 0.05), 0.4 * grip
     return [
@@ -196,9 +218,10 @@ def _controls(rng, half, low, high, front) -> list[Mesh]:
     return solids
 
 
-def _inner_panel(rng, half, low, high, back) -> list[Mesh]:
-    """The raised inner liner of the door, with the detergent dispenser."""
-    inset, step = half * rng.uniform(0.05, 0.15), rng.uniform(0.005, 0.03)
+def _inner_panel(rng, half, low, high, back, lap: float) -> list[Mesh]:
+    """The raised inner liner of the door, with the detergent dispenser; the door laps over the walls by ``lap``."""
+    inset = max(half * rng.uniform(0.05, 0.15), lap + 0.004)
+    step = rng.choice([rng.uniform(0.005, 0.03), rng.uniform(0.02, 0.07)])
     low_corner = (-half + inset, low + (high - low) * rng.uniform(0.05, 0.15), back - step)
     solids = [slab(low_corner, (half - inset, high - (high - low) * 0.08, back + 0.003), 2, rng.uniform(0.0, 0.03))]
     if rng.random() < 0.6:

@@ -36,6 +36,8 @@ def laptop(rng: np.random.Generator, name: str) -> ObjectModel:
         hinge_z = depth * rng.choice([rng.uniform(-0.03, 0.02), rng.uniform(0.02, 0.1)])
         foot = rng.uniform(0.0, 0.03) * depth + max(0.0, -rise)
         face = hinge_z + rise - rng.uniform(0.0, 0.004)
+        if rng.random() < 0.25:  # the screen's foot stands in a notch of the base
+            foot = -rise - rng.uniform(0.1, 0.7) * min(thickness, 0.06 * unit)
     hinge_y = top + rise
     reach = depth - hinge_z
     height = max(reach * float(np.clip(rng.normal(0.97, 0.06), 0.78, 1.12)), 0.5 * depth)
@@ -161,7 +163,7 @@ def _barrels(rng, width: float, y: float, z: float, foot: float) -> tuple[list[M
     kind = rng.random()
     if kind < 0.35:
         return [], []
-    radius = max(foot, 0.004) * rng.uniform(0.8, 1.3)
+    radius = max(abs(foot), 0.004) * rng.uniform(0.8, 1.3)
     if kind < 0.6:  # one long barrel
         half = width * rng.uniform(0.25, 0.45)
         bars = [cylinder((-half, y, z), (half, y, z), radius)]

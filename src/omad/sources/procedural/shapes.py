@@ -79,14 +79,20 @@ def slab(
 
 def cylinder(start: Sequence[float], end: Sequence[float], radius: float, segments: int = 10) -> Mesh:
     """Round bar from ``start`` to ``end``."""
-    a, b = np.asarray(start, float), np.asarray(end, float)
-    along = (b - a) / np.linalg.norm(b - a)
-    across = np.cross(along, np.eye(3)[np.abs(along).argmin()])
+    return tube(np.array([start, end], float), radius, segments)
+
+
+def tube(path: np.ndarray, radius: float, segments: int = 10) -> Mesh:
+    """Round bar along a path (L, 3) that lies in a plane and does not turn back on itself."""
+    along = np.gradient(path, axis=0)
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    across = np.cross(path[-1] - path[0], path[len(path) // 2] - path[0])
+    if np.linalg.norm(across) < 1e-9:  # straight: any normal will do
+        across = np.cross(along[0], np.eye(3)[np.abs(along[0]).argmin()])
     across /= np.linalg.norm(across)
-    up = np.cross(along, across)
-    angle = np.arange(segments) * 2 * np.pi / segments
-    circle = radius * (np.cos(angle)[:, None] * across + np.sin(angle)[:, None] * up)
-    return loft(np.stack([a + circle, b + circle]))
+    up = np.cross(along, across)[:, None]
+    angle = (np.arange(segments) * 2 * np.pi / segments)[:, None]
+    return loft(path[:, None] + radius * (np.cos(angle) * across + np.sin(angle) * up))
 
 
 def warp(mesh: Mesh, move) -> Mesh:
