@@ -66,6 +66,7 @@ ORDER = [
     "commands_train",
     "commands_eval",
     "cli",
+    "__main__",
 ]
 
 

@@ -22,7 +22,7 @@ from .errors import InputError
 from .estimator import Estimator
 from .files import read_cloud, read_depth, read_intrinsics, read_mask, write_atomic
 from .observation import Observation
-from .options import Device, Json, Result, Weights
+from .options import Device, Json, Result, Weights, check_positive
 from .report import describe, figure, save
 from .runtime import pick_device
 from .sources.procedural import generate
@@ -50,6 +50,7 @@ class Demo:
     json: Json = False
 
     def run(self) -> Result:
+        check_positive(objects=self.objects)
         if self.weights is not None:
             estimators = [Estimator.from_pretrained(self.weights, self.device)]
         else:
@@ -135,6 +136,7 @@ class Generate:
     json: Json = False
 
     def run(self) -> Result:
+        check_positive(objects=self.objects)
         category = get_category(self.category)
         written = []
         for index in range(self.objects):
@@ -164,6 +166,7 @@ class Render:
     json: Json = False
 
     def run(self) -> Result:
+        check_positive(objects=self.objects, views=self.views, processes=self.processes)
         category = get_category(self.category)
         source = load_models(self.source, category, self.objects, self.split, self.seed)
         folder = render_to_folder(

@@ -12,7 +12,7 @@ from .errors import InputError
 from .estimator import Estimator, EstimatorConfig
 from .evaluation import draw_worst, evaluate, summary
 from .keypoint_check import keypoint_spread
-from .options import Device, Json, Result, Weights
+from .options import Device, Json, Result, Weights, check_positive
 from .sources.procedural import generate
 from .sources.select import load_models
 from .standard_views import standard_views
@@ -43,6 +43,7 @@ class EvalPose:
     json: Json = False
 
     def run(self) -> Result:
+        check_positive(objects=self.objects, views=self.views)
         config = EstimatorConfig(method=self.method)
         estimator = Estimator.from_pretrained(self.weights or self.category, self.device, config)
         category = estimator.category
@@ -77,6 +78,7 @@ class EvalKeypoints:
     json: Json = False
 
     def run(self) -> Result:
+        check_positive(objects=self.objects)
         net = load_priornet(self.weights or find_weights(self.category) / "prior")
         models = [generate(net.category, index, "test", self.seed) for index in range(self.objects)]
         return 0, asdict(keypoint_spread(net, models))
@@ -95,6 +97,7 @@ class EvalViews:
     json: Json = False
 
     def run(self) -> Result:
+        check_positive(objects=self.objects, views=self.views)
         folder = find_weights(self.weights or self.category)
         net, priornet = load_net(folder), load_priornet(folder / "prior")
         models = [generate(net.category, index, "test", self.seed) for index in range(self.objects)]

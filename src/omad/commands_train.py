@@ -12,7 +12,7 @@ from . import __version__
 from .categories import Category, get_category
 from .checkpoint import find_weights, load_net, load_priornet, save_net, save_priornet
 from .objects import ObjectModel
-from .options import Device, Json, Result
+from .options import Device, Json, Result, check_positive
 from .pointnet2 import PAPER_SIZE, SLIM
 from .runtime import keep_freed_memory, pick_device
 from .sources.select import load_models
@@ -47,6 +47,7 @@ class _Training:
     json: Json = False
 
     def prepare(self, schedule: Schedule) -> tuple[Category, list[ObjectModel], Schedule, torch.device]:
+        check_positive(objects=self.objects, steps=self.steps, batch=self.batch)
         keep_freed_memory()
         if self.threads:
             torch.set_num_threads(self.threads)

@@ -88,6 +88,7 @@ def finish_prior(
     stretched = nodes.repeat(draws, 1, 1) * stretch[:, None]
     _, singular, directions = torch.linalg.svd(stretched.flatten(1), full_matrices=False)
     size = prior.basis_size
+    singular = singular.clamp(min=1e-4 * float(singular[0]))  # a few objects may not fill the basis
     basis = (directions[:size] * singular[:size, None] / count**0.5).T.reshape(-1, 3, size)
     with torch.no_grad():
         prior.learned_basis.copy_(basis[~prior.is_image])

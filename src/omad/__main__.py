@@ -1,0 +1,5 @@
+"""``python -m omad``."""
+
+from .cli import main
+
+main()
