@@ -30,6 +30,7 @@ ORDER = [
     "sources.procedural.shapes",
     "sources.procedural.laptop",
     "sources.procedural.dishwasher",
+    "sources.procedural.drawer",
     "sources.procedural",
     "sources.select",
     "render",
@@ -112,7 +113,7 @@ def test_files_stay_short():
 
 
 def test_no_code_asks_for_a_category_by_name():
-    names = ("laptop", "dishwasher")
+    names = ("laptop", "dishwasher", "drawer")
     allowed = {"categories", "sources.procedural"} | {f"sources.procedural.{name}" for name in names}
     for name, path in modules().items():
         if name in allowed:

@@ -128,7 +128,23 @@ DISHWASHER = Category(
     rest=("closed",),
 )
 
-CATEGORIES = {category.name: category for category in (LAPTOP, DISHWASHER)}
+DRAWER = Category(
+    name="drawer",
+    metres_per_unit=0.45,
+    parts=(
+        PartSpec("cabinet", 12, mirror=0, aliases=("cabinet", "body", "frame", "base")),
+        PartSpec("top_drawer", 8, mirror=1, aliases=("drawer",)),
+        PartSpec("middle_drawer", 8, mirror=2, aliases=("drawer",)),
+        PartSpec("bottom_drawer", 8, mirror=3, aliases=("drawer",)),
+    ),
+    joints=tuple(
+        JointSpec(name, "prismatic", 0, (0.0, 0.0, 1.0), (0.0, 0.8), side=(0.0, height, 0.3))
+        for name, height in (("top_slide", 1.0), ("middle_slide", 0.0), ("bottom_slide", -1.0))
+    ),
+    rest=("closed", "closed", "closed"),
+)
+
+CATEGORIES = {category.name: category for category in (LAPTOP, DISHWASHER, DRAWER)}
 
 
 def get_category(name: str) -> Category:

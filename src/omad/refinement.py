@@ -299,14 +299,14 @@ def _check(prior: OmadPrior, targets: Targets, initial: State, limits: Tensor) -
 
 
 def whitening(prior: OmadPrior, weight: float) -> Tensor:
-    """(D, D) matrix L with |L (beta - mean)|^2 = weight * squared Mahalanobis distance, float64.
+    """(D, D) upper triangular L with |L (beta - mean)|^2 = weight * squared Mahalanobis distance, float64.
 
     A direction in which the training objects hardly vary counts as a thousandth of the widest one's spread, so that
     few objects, or alike ones, still make a usable prior.
     """
     spread, directions = torch.linalg.eigh(prior.beta_covariance.double())
     spread = spread.clamp(min=1e-6 * float(spread[-1].clamp(min=1e-12)))
-    return (weight / spread).sqrt()[:, None] * directions.mT
+    return torch.linalg.qr((weight / spread).sqrt()[:, None] * directions.mT).R
 
 
 def _inverse(hessian: Tensor) -> Tensor:

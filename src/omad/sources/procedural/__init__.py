@@ -11,11 +11,13 @@ from ...categories import Category
 from ...errors import InputError
 from ...objects import ObjectModel
 from .dishwasher import dishwasher
+from .drawer import drawer
 from .laptop import laptop
 
 GENERATORS: dict[str, Callable[[np.random.Generator, str], ObjectModel]] = {
     "laptop": laptop,
     "dishwasher": dishwasher,
+    "drawer": drawer,
 }
 _STREAMS = {"train": 0, "test": 1}
 

@@ -1,0 +1,138 @@
+"""Random chests of three drawers: with and without legs, overhanging tops, inset or overlaid fronts, many pulls."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...categories import DRAWER
+from ...objects import Mesh, ObjectModel
+from .shapes import box, cylinder, merge, slab
+
+
+def drawer(rng: np.random.Generator, name: str) -> ObjectModel:
+    """One chest, all drawers closed. Body on y = 0 .. height, its front plane at z = 0, the room at +z."""
+    width = rng.uniform(0.28, 0.85)
+    height = rng.uniform(0.3, 0.9)
+    depth = rng.uniform(0.26, 0.55)
+    wall = rng.uniform(0.01, 0.035)
+    base = rng.choice([0.0, rng.uniform(0.02, 0.1), rng.uniform(0.05, 0.25) * height])
+    thickness = rng.uniform(0.012, 0.035)
+    inset = rng.random() < 0.45
+    front = rng.uniform(0.0, 0.005) if inset else thickness  # plane of the drawers' faces
+
+    low, high = base + wall, height - wall
+    shares = rng.uniform(0.6, 1.4, 3) if rng.random() < 0.6 else np.ones(3)
+    edges = high - (high - low) * np.concatenate([[0.0], np.cumsum(shares / shares.sum())])
+    cabinet = _cabinet(rng, width, height, depth, wall, base, edges)
+    pull = _Pull.draw(rng)
+    drawers = []
+    for top, bottom in zip(edges[:-1], edges[1:], strict=True):
+        gap = rng.uniform(0.001, 0.004)
+        half = width / 2 - wall - gap if inset else width / 2 - rng.uniform(0.0, 0.004)
+        spill = -gap if inset else wall * 0.45 - gap
+        face_low, face_high = bottom - spill, top + spill
+        solids = [slab((-half, face_low, front - thickness), (half, face_high, front), 2, 0.002, pull.bevel)]
+        solids += _open_box(rng, width / 2 - wall - 0.012, bottom, top, depth, wall, front - thickness)
+        solids += pull.solids(half, face_low, face_high, front)
+        drawers.append(merge(solids))
+    return ObjectModel(
+        name=name,
+        category=DRAWER.name,
+        part_names=tuple(part.name for part in DRAWER.parts),
+        parts=(merge(cabinet), *drawers),
+        joint_names=tuple(joint.name for joint in DRAWER.joints),
+        tree=DRAWER.tree,
+        axes=np.array([joint.axis for joint in DRAWER.joints]),
+        pivots=np.zeros((3, 3)),
+        limits=np.tile([0.0, 0.6 * depth], (3, 1)),
+    ).centred()
+
+
+def _cabinet(rng, width, height, depth, wall, base, edges) -> list[Mesh]:
+    """Walls, back, bottom, top, rails between the drawers, and what it stands on."""
+    x = width / 2
+    over, side = rng.choice([0.0, rng.uniform(0.005, 0.04)]), rng.choice([0.0, rng.uniform(0.005, 0.03)])
+    solids = [
+        box((-x, base, -depth), (-x + wall, height, 0)),
+        box((x - wall, base, -depth), (x, height, 0)),
+        box((-x + wall, base, -depth), (x - wall, height, -depth + wall * rng.uniform(0.3, 1.0))),
+        box((-x + wall, base, -depth + wall), (x - wall, base + wall, 0)),
+        slab((-x - side, height - wall, -depth), (x + side, height + rng.uniform(0.0, 0.02), over), 1, 0.004),
+    ]
+    if rng.random() < 0.5:
+        for y in edges[1:-1]:
+            solids.append(box((-x + wall, y - 0.3 * wall, -depth * 0.9), (x - wall, y + 0.3 * wall, -0.002)))
+    if base > 0.015:
+        solids += _stand(rng, x, depth, base)
+    return solids
+
+
+def _stand(rng, x: float, depth: float, base: float) -> list[Mesh]:
+    """Four legs, straight or round; two runners; or a plinth."""
+    kind, size = rng.random(), rng.uniform(0.015, 0.04)
+    inset = rng.uniform(0.0, 0.15)
+    if kind < 0.25:
+        back = rng.uniform(0.0, 0.06)
+        return [box((-x, 0, -depth), (x, base, -back))]
+    if kind < 0.4:
+        return [box((s * x - size, 0, -depth), (s * x + size, base, 0)) for s in (-1 + inset, 1 - inset)]
+    solids = []
+    for s in (-1, 1):
+        for z in (-depth * (1 - 0.5 * inset) + size, -0.5 * inset * depth - size):
+            a = s * (x * (1 - inset) - size)
+            if kind < 0.7:
+                solids.append(box((a - size, 0, z - size), (a + size, base, z + size)))
+            else:
+                splay = s * rng.uniform(0.0, 0.03)
+                solids.append(cylinder((a + splay, 0, z), (a, base + 0.005, z), 0.8 * size))
+    return solids
+
+
+def _open_box(rng, half, bottom, top, depth, wall, back_of_face) -> list[Mesh]:
+    """The drawer behind its face: two sides, bottom, back, open above."""
+    deep, side = depth * rng.uniform(0.75, 0.92), rng.uniform(0.006, 0.015)
+    low, high = bottom + 0.25 * wall + 0.004, top - (top - bottom) * rng.uniform(0.08, 0.4)
+    rear = -deep
+    return [
+        box((-half, low, rear), (-half + side, high, back_of_face)),
+        box((half - side, low, rear), (half, high, back_of_face)),
+        box((-half + side, low, rear), (half - side, high, rear + side)),
+        box((-half + side, low, rear + side), (half - side, low + side, back_of_face)),
+    ]
+
+
+class _Pull:
+    """The kind of handle, the same on all drawers of a chest."""
+
+    def __init__(self, rng: np.random.Generator) -> None:
+        self.kind = rng.random()
+        self.pair = rng.random() < 0.35
+        self.size, self.reach = rng.uniform(0.008, 0.02), rng.uniform(0.015, 0.05)
+        self.span, self.height = rng.uniform(0.1, 0.45), rng.uniform(0.3, 0.85)
+        self.bevel = rng.uniform(0.0, 0.004)
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator) -> _Pull:
+        return cls(rng)
+
+    def solids(self, half: float, low: float, high: float, front: float) -> list[Mesh]:
+        """Handles on a face that spans x = -half .. half, y = low .. high at z = front."""
+        if self.kind < 0.12:
+            return []  # pushed open, or gripped at its edge
+        y, root = low + self.height * (high - low), front - 0.002
+        centres = (-0.5 * half, 0.5 * half) if self.pair and half > 0.25 else (0.0,)
+        solids = []
+        for x in centres:
+            span, tip, g = self.span * half / len(centres), front + self.reach, 0.5 * self.size
+            if self.kind < 0.4:
+                solids.append(cylinder((x, y, root), (x, y, tip), self.size, 12))
+            elif self.kind < 0.8:
+                solids += [box((x + s * span - g, y - g, root), (x + s * span + g, y + g, tip)) for s in (-1, 1)]
+                bar_low, bar_high = (x - span - g, y - g, tip - g), (x + span + g, y + g, tip + g)
+                solids.append(slab(bar_low, bar_high, 2, 0.4 * g))
+            elif self.kind < 0.9:
+                solids.append(box((x - span, y - g, root), (x + span, y + g, front + 0.6 * self.reach)))
+            else:
+                lip = (x - half * 0.98 / len(centres), high - 1.5 * g, root)
+                solids.append(box(lip, (x + half * 0.98 / len(centres), high, front + 0.5 * self.reach)))
+        return solids
