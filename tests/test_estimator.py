@@ -80,6 +80,15 @@ def test_part_labels_match_the_rendered_ones(estimator):
     assert np.mean(shares) > 0.93
 
 
+def test_what_is_no_such_object_is_doubtful(estimator):
+    rng = np.random.default_rng(0)
+    ball = rng.normal(size=(3000, 3))
+    ball = 0.05 * ball / np.linalg.norm(ball, axis=1, keepdims=True) + [0, 0, 1.0]
+    assert any("doubtful" in warning for warning in estimator(omad.Observation.from_points(ball)).warnings)
+    good = [estimator(observe(view)) for view in some_views(estimator)]
+    assert not any("doubtful" in warning for estimate in good for warning in estimate.warnings)
+
+
 def test_few_points_still_give_an_answer(estimator):
     observation = observe(some_views(estimator, 1)[0])
     sparse = omad.Observation.from_points(observation.points[:: len(observation.points) // 60])

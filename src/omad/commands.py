@@ -100,6 +100,8 @@ class Estimate:
             found = ", ".join(describe(joint) for joint in estimate.joints)
             doubt = "" if estimate.converged else " (not converged)"
             print(f"{file}: {found}{doubt} -> {folder}", file=sys.stderr)
+            for warning in estimate.warnings:
+                print(f"{file}: warning: {warning}", file=sys.stderr)
             records.append({"input": str(file), **estimate.to_dict()})
         failed = 0 if any(record["converged"] for record in records) else 1
         return failed, records[0] if len(records) == 1 else {"results": records}

@@ -33,6 +33,8 @@ from .runtime import pick_device
 from .views import choose_points
 
 NOTHING_KNOWN = Known()
+DOUBTFUL = 0.07
+"""Expected keypoint error (geometric mean, category units; 0.03 is usual) above which an estimate carries a warning."""
 
 
 @dataclass(frozen=True)
@@ -200,7 +202,7 @@ class Estimator:
                         T_camera_part=initial.T_camera_part[b],
                     ),
                     seconds=dict(seconds),
-                    warnings=tuple(observation.warnings),
+                    warnings=observation.warnings + _doubts(keypoint_std[b] / unit),
                 )
             )
         return estimates
@@ -262,6 +264,17 @@ class _Placed:
                 )
             )
         return tuple(answers)
+
+
+def _doubts(keypoint_std: np.ndarray) -> tuple[str, ...]:
+    """A warning where the network itself does not trust its keypoints (M,), in category units."""
+    expected = float(np.exp(np.log(keypoint_std).mean()))
+    if expected < DOUBTFUL:
+        return ()
+    return (
+        f"doubtful: keypoints are expected to be {expected:.2f} category units off; this view may not show which side"
+        " is the front, or the object may be of another category or badly cut out; try another viewpoint",
+    )
 
 
 def _as_refined(adam: AdamResult) -> Refined:
