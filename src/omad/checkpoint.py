@@ -40,26 +40,29 @@ def load_net(folder: Path) -> OmadNet:
     try:
         category = category_from_dict(config["category"])
         backbone = BackboneConfig(**{key: _tuples(value) for key, value in config["backbone"].items()})
-    except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"{folder / 'config.json'}: field {error} is missing or wrong; copy it anew") from error
-    return _load(OmadNet(category, OmadPrior(category), backbone), folder)
+        net = OmadNet(category, OmadPrior(category), backbone)
+    except Exception as error:  # a network of senseless sizes raises anything
+        raise _wrong_config(folder, error) from error
+    return _load(net, folder)
 
 
 def load_priornet(folder: Path) -> PriorNet:
     """Read OMAD-PriorNet on the CPU. Raises InputError for anything that is not such a checkpoint."""
     config = _read_config(folder, "prior")
     try:
-        category = category_from_dict(config["category"])
-    except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"{folder / 'config.json'}: field {error} is missing or wrong; copy it anew") from error
-    return _load(PriorNet(category), folder)
+        net = PriorNet(category_from_dict(config["category"]))
+    except Exception as error:
+        raise _wrong_config(folder, error) from error
+    return _load(net, folder)
 
 
 def find_weights(name: str | Path) -> Path:
-    """The folder of a category's shipped weights, or ``name`` itself where it is a checkpoint folder."""
-    shipped = WEIGHTS / str(name)
-    if str(name) in CATEGORIES and shipped.is_dir():
-        return shipped
+    """The folder of a category's shipped weights, or ``name`` itself where it is a checkpoint folder.
+
+    A ``Path`` is always a folder, even one that is called like a category.
+    """
+    if not isinstance(name, Path) and name in CATEGORIES and (WEIGHTS / name).is_dir():
+        return WEIGHTS / name
     if Path(name).is_dir():
         return Path(name)
     known = ", ".join(shipped_categories()) or "none"
@@ -108,13 +111,20 @@ def _read_config(folder: Path, kind: str) -> dict[str, Any]:
     return config
 
 
+def _wrong_config(folder: Path, error: Exception) -> InputError:
+    reason = " ".join(str(error).split()) or type(error).__name__
+    return InputError(f"{folder / 'config.json'}: a field is missing or wrong ({reason}); copy it anew")
+
+
 def _load(net, folder: Path):
     path = folder / "model.safetensors"
     try:
         net.load_state_dict(load_file(path))
     except FileNotFoundError as error:
         raise InputError(f"{path}: missing; copy the whole checkpoint folder") from error
-    except (SafetensorError, RuntimeError) as error:
-        reason = str(error).splitlines()[0]
+    except (SafetensorError, RuntimeError, OSError) as error:
+        reason = str(error).splitlines()[0].rstrip(":")
         raise InputError(f"{path}: damaged or of another network ({reason}); copy or train it anew") from error
+    if not all(tensor.isfinite().all() for tensor in net.state_dict().values()):
+        raise InputError(f"{path}: holds numbers that are not finite; copy or train it anew")
     return net.eval().requires_grad_(False)

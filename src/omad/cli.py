@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import sys
 from typing import Annotated, Any
@@ -16,7 +17,7 @@ import tyro
 from . import commands as c
 from . import commands_eval as e
 from . import commands_train as t
-from .errors import InputError
+from .errors import InputError, WorkError
 from .tables import readable
 
 _ABOUT = "Shape, pose, joint states and joint axes of unseen articulated objects from one depth view."
@@ -54,10 +55,27 @@ def run(arguments: list[str]) -> int:
     try:
         code, answer = command.run()
     except InputError as error:
-        print(f"omad: {error}", file=sys.stderr)
+        print(f"omad: {_line(error)}", file=sys.stderr)
         return 2
+    except WorkError as error:
+        print(f"omad: {_line(error)}", file=sys.stderr)
+        return 1
     except KeyboardInterrupt:
-        print("omad: interrupted; the same command goes on where this one stopped", file=sys.stderr)
+        print("omad: interrupted; a rendering or training goes on where it was when run again", file=sys.stderr)
         return 130
-    print(json.dumps(answer) if command.json else readable(answer))
+    print(json.dumps(_known(answer)) if command.json else readable(answer))
     return code
+
+
+def _line(error: Exception) -> str:
+    """Messages are one line, whatever a file's name or another program put into them."""
+    return " ".join(str(error).split())
+
+
+def _known(value: Any) -> Any:
+    """JSON has neither NaN nor infinity: what is unknown is null."""
+    if isinstance(value, dict):
+        return {key: _known(inner) for key, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [_known(inner) for inner in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

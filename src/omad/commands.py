@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import platform
 import sys
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -20,18 +22,24 @@ from .demo import run_demo
 from .depth_noise import LEVELS
 from .errors import InputError
 from .estimator import Estimator
-from .files import read_cloud, read_depth, read_intrinsics, read_mask, write_atomic
+from .files import (
+    CLOUD_FORMATS,
+    DEPTH_FORMATS,
+    is_cloud,
+    read_cloud,
+    read_depth,
+    read_intrinsics,
+    read_mask,
+    write_atomic,
+)
 from .observation import Observation
-from .options import Device, Json, Result, Weights, check_positive
+from .options import Device, Json, Result, Weights, check_category, check_positive
 from .report import describe, figure, save
 from .runtime import pick_device
 from .sources.procedural import generate
 from .sources.select import load_models
 from .urdf import write_urdf
 from .view_folder import render_to_folder
-
-DEPTH_FILES = (".png", ".npy")
-CLOUD_FILES = (".ply", ".pcd", ".xyz", ".npz")
 
 
 @dataclass(frozen=True)
@@ -53,6 +61,8 @@ class Demo:
         check_positive(objects=self.objects)
         if self.weights is not None:
             estimators = [Estimator.from_pretrained(self.weights, self.device)]
+            if self.category is not None:
+                check_category("--weights", self.weights, estimators[0].category, self.category)
         else:
             names = [self.category] if self.category else shipped_categories()
             estimators = [Estimator.from_pretrained(name, self.device) for name in names]
@@ -61,7 +71,8 @@ class Demo:
 
 @dataclass(frozen=True)
 class Estimate:
-    """Estimate objects from depth images (PNG, NPY) or clouds (PLY, PCD, XYZ, NPZ): JSON, URDF and a picture each."""
+    """Estimate objects from depth images (PNG, TIFF, NPY, NPZ) or clouds (PLY, PCD, XYZ, NPY, NPZ): JSON, URDF and a
+    picture each. A bad one of many inputs is named on stderr and under "refused", the rest is done, exit code 2."""
 
     inputs: tyro.conf.Positional[tuple[Path, ...]]
     """Files, or folders of them."""
@@ -70,13 +81,13 @@ class Estimate:
     intrinsics: str | None = None
     """Of the depth camera: fx,fy,cx,cy or a file (Open3D or RealSense JSON, ROS YAML, 3x3 text)."""
     mask: Path | None = None
-    """Image, non-zero where the object is."""
+    """Image, non-zero where the object is; or a folder with a mask for each input, of the same name."""
     box: str | None = None
     """x1,y1,x2,y2 in pixels around the object, half-open."""
     segment: Literal["plane"] | None = None
     """plane: take away the dominant plane and keep the largest thing on it."""
     depth_scale: float | None = None
-    """Metres per stored integer; default 0.001 for integer images."""
+    """Metres per stored number; default 0.001 for integer images, 1 for floats and clouds."""
     output: Path = Path("omad-estimate")
     """Folder for results, one sub-folder an input."""
     weights: Weights = None
@@ -84,46 +95,85 @@ class Estimate:
     json: Json = False
 
     def run(self) -> Result:
+        check_positive(depth_scale=self.depth_scale)
+        files = _input_files(self.inputs)
+        one = files == list(self.inputs)[:1]
+        reader = _Reader.of(self, files)
         estimator = Estimator.from_pretrained(self.weights or self.category, self.device)
-        if self.weights is not None and estimator.category.name != self.category:
-            raise InputError(f"--weights {self.weights}: for {estimator.category.name}, not for {self.category}")
-        files = [file for path in self.inputs for file in _input_files(path)]
-        observations = {file: self._read(file) for file in files}
-        records = []
-        for file, (observation, seconds) in observations.items():
+        check_category("--weights", self.weights, estimator.category, self.category)
+        results, refused = [], []
+        for file, name in zip(files, _folder_names(files), strict=True):
+            began = time.perf_counter()
+            try:
+                observation = reader(file)
+            except InputError as error:
+                if one:
+                    raise
+                print(f"omad: {error}", file=sys.stderr)
+                refused.append({"input": str(file), "reason": str(error)})
+                continue
+            seconds = time.perf_counter() - began
             estimate = estimator(observation)
             estimate.seconds["read"] = seconds
-            folder = self.output / file.stem
-            _write_text(folder / "estimate.json", estimate.to_json() + "\n")
+            folder = self.output / name
             estimate.save_urdf(folder / "object.urdf")
             save(figure(observation, estimate, title=file.name), folder / "estimate.png")
+            _write_text(folder / "estimate.json", estimate.to_json() + "\n")
             found = ", ".join(describe(joint) for joint in estimate.joints)
             doubt = "" if estimate.converged else " (not converged)"
             print(f"{file}: {found}{doubt} -> {folder}", file=sys.stderr)
             for warning in estimate.warnings:
                 print(f"{file}: warning: {warning}", file=sys.stderr)
-            records.append({"input": str(file), **estimate.to_dict()})
-        failed = 0 if any(record["converged"] for record in records) else 1
-        return failed, records[0] if len(records) == 1 else {"results": records}
+            results.append({"input": str(file), "output": str(folder), **estimate.to_dict()})
+        code = 2 if refused else 0 if any(result["converged"] for result in results) else 1
+        return code, results[0] if one else {"results": results, "refused": refused}
 
-    def _read(self, file: Path) -> tuple[Observation, float]:
-        began = time.perf_counter()
-        if file.suffix.lower() in CLOUD_FILES:
-            observation = Observation.from_points(read_cloud(file), segment=self.segment)
-            return observation, time.perf_counter() - began
-        if self.intrinsics is None:
-            raise InputError(f"{file}: a depth image needs --intrinsics fx,fy,cx,cy or a file with them")
+
+@dataclass(frozen=True)
+class _Reader:
+    """Reads inputs as the options of ``estimate`` say."""
+
+    K: np.ndarray | None
+    mask: np.ndarray | Path | None
+    """Of every input, or the folder of theirs."""
+    box: list[float] | None
+    segment: Literal["plane"] | None
+    depth_scale: float | None
+
+    @classmethod
+    def of(cls, options: Estimate, files: list[Path]) -> _Reader:
+        """Read what holds for all inputs. Raises InputError where that is wrong whatever the input."""
+        if options.intrinsics is None and not any(is_cloud(file) for file in files):
+            _existing(files[0])
+            raise InputError(f"{files[0]}: a depth image needs --intrinsics fx,fy,cx,cy or a file with them")
+        mask = options.mask
+        return cls(
+            K=None if options.intrinsics is None else read_intrinsics(options.intrinsics),
+            mask=mask if mask is None or mask.is_dir() else read_mask(mask),
+            box=None if options.box is None else _numbers(options.box, 4, "--box"),
+            segment=options.segment,
+            depth_scale=options.depth_scale,
+        )
+
+    def __call__(self, file: Path) -> Observation:
+        """One input. Raises InputError with its name."""
+        _existing(file)
         try:
-            observation = Observation.from_depth(
-                read_depth(file, self.depth_scale),
-                read_intrinsics(self.intrinsics),
-                mask=None if self.mask is None else read_mask(self.mask),
-                box=None if self.box is None else _numbers(self.box, 4, "--box"),
-                segment=self.segment,
-            )
+            return self._cloud(file) if is_cloud(file) else self._depth(file)
         except InputError as error:
             raise InputError(str(error) if str(file) in str(error) else f"{file}: {error}") from error
-        return observation, time.perf_counter() - began
+
+    def _cloud(self, file: Path) -> Observation:
+        if self.mask is not None or self.box is not None:
+            raise InputError("--mask and --box need a depth image; cut the cloud out, or use --segment plane")
+        return Observation.from_points(read_cloud(file) * (self.depth_scale or 1.0), segment=self.segment)
+
+    def _depth(self, file: Path) -> Observation:
+        depth = read_depth(file, self.depth_scale)
+        if self.K is None:
+            raise InputError("a depth image needs --intrinsics fx,fy,cx,cy or a file with them")
+        mask = read_mask(_mask_of(file, self.mask)) if isinstance(self.mask, Path) else self.mask
+        return Observation.from_depth(depth, self.K, mask, self.box, self.segment)
 
 
 @dataclass(frozen=True)
@@ -196,6 +246,7 @@ class Export:
     def run(self) -> Result:
         source = find_weights(self.weights or self.category)
         net = load_net(source)
+        check_category("--weights", self.weights, net.category, self.category)
         save_net(net, self.output, {"exported_from": source.name})
         prior = net.prior
         arrays = {
@@ -227,15 +278,46 @@ class Info:
         }
 
 
-def _input_files(path: Path) -> list[Path]:
-    if not path.exists():
-        raise InputError(f"{path}: no such file or folder; give a depth image, a cloud, or a folder of them")
-    if not path.is_dir():
-        return [path]
-    files = sorted(p for p in path.iterdir() if p.suffix.lower() in DEPTH_FILES + CLOUD_FILES)
-    if not files:
-        raise InputError(f"{path}: no depth image or cloud in it; known: {' '.join(DEPTH_FILES + CLOUD_FILES)}")
-    return files
+def _input_files(paths: Sequence[Path]) -> list[Path]:
+    """Files given, and those in folders given; each once."""
+    if not paths:
+        raise InputError("no input; give a depth image, a cloud, or a folder of them")
+    known = sorted({*DEPTH_FORMATS, *CLOUD_FORMATS} - {".txt"})  # a text file in a folder is no cloud but a note
+    files: list[Path] = []
+    for path in paths:
+        inside = [path]
+        if path.is_dir():
+            inside = sorted(p for p in path.glob("[!.]*") if p.suffix.lower() in known and p.is_file())
+        if not inside:
+            raise InputError(f"{path}: no depth image or cloud in it; known: {' '.join(known)}")
+        files += inside
+    return list({os.path.abspath(file): file for file in files}.values())
+
+
+def _existing(file: Path) -> None:
+    if not file.is_file():
+        raise InputError(f"{file}: no such file or folder; give a depth image, a cloud, or a folder of them")
+
+
+def _mask_of(file: Path, folder: Path) -> Path:
+    """The mask of an input in a folder of masks: that with the input's name, whatever its extension."""
+    masks = sorted(mask for mask in folder.iterdir() if mask.stem == file.stem)
+    if not masks:
+        raise InputError(f"{folder}: no mask for {file} in it; name masks like the inputs")
+    return masks[0]
+
+
+def _folder_names(files: Sequence[Path]) -> list[str]:
+    """A folder's name for each file: its stem, or where files share that, a longer name that tells them apart."""
+    places = [Path(os.path.abspath(file)) for file in files]
+    for names in (
+        [place.stem for place in places],
+        [place.name for place in places],
+        [f"{place.parent.name}-{place.name}" for place in places],
+    ):
+        if len(set(names)) == len(names):
+            return names
+    return [f"{number:05d}-{place.name}" for number, place in enumerate(places)]
 
 
 def _numbers(text: str, count: int, name: str) -> list[float]:

@@ -11,8 +11,10 @@ from .depth_noise import LEVELS
 from .errors import InputError
 from .estimator import Estimator, EstimatorConfig
 from .evaluation import draw_worst, evaluate, summary
+from .files import make_folder
 from .keypoint_check import keypoint_spread
-from .options import Device, Json, Result, Weights, check_positive
+from .options import Device, Json, Result, Weights, check_category, check_positive
+from .runtime import pick_device
 from .sources.procedural import generate
 from .sources.select import load_models
 from .standard_views import standard_views
@@ -30,10 +32,10 @@ class EvalPose:
     objects: int = 20
     """Procedural objects."""
     views: int = 200
-    """In total, dealt out to the objects."""
+    """In total, dealt out to the objects; of a rendered folder always all."""
     seed: int = 0
     depth_noise: bool = False
-    """Simulate the depth camera's noise."""
+    """Simulate the depth camera's noise; a rendered folder has its own."""
     method: Literal["least_squares", "adam"] = "least_squares"
     """How to refine; adam: the paper's own recipe, for comparison."""
     pictures: Path | None = None
@@ -47,19 +49,25 @@ class EvalPose:
         config = EstimatorConfig(method=self.method)
         estimator = Estimator.from_pretrained(self.weights or self.category, self.device, config)
         category = estimator.category
+        check_category("--weights", self.weights, category, self.category)
+        if self.pictures is not None:
+            make_folder(self.pictures)
+        noisy = self.depth_noise
         refused: list[dict[str, str]] = []
         if self.source != "procedural" and (Path(self.source) / "dataset.json").is_file():
             folder = open_views(self.source)
             if folder.category != category.name:
                 raise InputError(f"{self.source}: views of {folder.category}, not of {category.name}")
-            views, total = iter(folder), len(folder)
+            if noisy:
+                raise InputError(f"{self.source}: is rendered already; leave out --depth-noise, or render with --noise")
+            views, total, noisy = iter(folder), len(folder), folder.noise is not None
         else:
             source = load_models(self.source, category, self.objects, "test", self.seed)
-            noise = LEVELS["on" if self.depth_noise else "off"]
+            noise = LEVELS["on" if noisy else "off"]
             views, total = standard_views(source.models, category, self.views, self.seed, noise), self.views
             refused = source.refused
         results = evaluate(estimator, views, total)
-        answer = summary(results, category, self.source) | {"depth_noise": self.depth_noise, "refused": refused}
+        answer = summary(results, category, self.source) | {"depth_noise": noisy, "refused": refused}
         if self.pictures is not None:
             answer["pictures"] = draw_worst(results, category, self.pictures)
         return (1 if answer["failures"] == len(results) else 0), answer
@@ -75,11 +83,13 @@ class EvalKeypoints:
     seed: int = 0
     weights: Weights = None
     """Prior checkpoint folder in place of the shipped one."""
+    device: Device = "cpu"
     json: Json = False
 
     def run(self) -> Result:
         check_positive(objects=self.objects)
-        net = load_priornet(self.weights or find_weights(self.category) / "prior")
+        net = load_priornet(self.weights or find_weights(self.category) / "prior").to(pick_device(self.device))
+        check_category("--weights", self.weights, net.category, self.category)
         models = [generate(net.category, index, "test", self.seed) for index in range(self.objects)]
         return 0, asdict(keypoint_spread(net, models))
 
@@ -94,11 +104,13 @@ class EvalViews:
     """Of each kind."""
     seed: int = 0
     weights: Weights = None
+    device: Device = "cpu"
     json: Json = False
 
     def run(self) -> Result:
         check_positive(objects=self.objects, views=self.views)
-        folder = find_weights(self.weights or self.category)
-        net, priornet = load_net(folder), load_priornet(folder / "prior")
+        folder, device = find_weights(self.weights or self.category), pick_device(self.device)
+        net, priornet = load_net(folder).to(device), load_priornet(folder / "prior").to(device)
+        check_category("--weights", self.weights, net.category, self.category)
         models = [generate(net.category, index, "test", self.seed) for index in range(self.objects)]
         return 0, asdict(compare_views(net, priornet, models, self.views, self.seed))

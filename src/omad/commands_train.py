@@ -10,10 +10,13 @@ import torch
 
 from . import __version__
 from .categories import Category, get_category
-from .checkpoint import find_weights, load_net, load_priornet, save_net, save_priornet
+from .checkpoint import find_weights, load_net, load_priornet, save_net, save_priornet, shipped_categories
+from .errors import InputError
 from .objects import ObjectModel
-from .options import Device, Json, Result, check_positive
-from .pointnet2 import PAPER_SIZE, SLIM
+from .omadnet import OmadNet
+from .options import Device, Json, Result, check_category, check_positive
+from .pointnet2 import PAPER_SIZE, SLIM, BackboneConfig
+from .priornet import PriorNet
 from .runtime import keep_freed_memory, pick_device
 from .sources.select import load_models
 from .train_net import NetTraining, train_net
@@ -48,6 +51,9 @@ class _Training:
 
     def prepare(self, schedule: Schedule) -> tuple[Category, list[ObjectModel], Schedule, torch.device]:
         check_positive(objects=self.objects, steps=self.steps, batch=self.batch)
+        check_positive(learning_rate=self.learning_rate, max_minutes=self.max_minutes)
+        if self.threads < 0:
+            raise InputError(f"--threads {self.threads}: must be at least 1, or 0 for PyTorch's choice")
         keep_freed_memory()
         if self.threads:
             torch.set_num_threads(self.threads)
@@ -90,10 +96,28 @@ class TrainNet(_Training):
     """slim: fast on a CPU; paper: the paper's PointNet++."""
 
     def run(self) -> Result:
+        backbone = PAPER_SIZE if self.size == "paper" else SLIM
+        prior, initial = self._prior(), self._initial(backbone)
         category, models, schedule, device = self.prepare(NetTraining().schedule)
-        prior = load_priornet(self.prior or find_weights(self.category) / "prior")
-        initial = None if self.initial is None else load_net(self.initial)
-        settings = NetTraining(schedule=schedule, backbone=PAPER_SIZE if self.size == "paper" else SLIM)
+        settings = NetTraining(schedule=schedule, backbone=backbone)
         net = train_net(models, category, prior, self.output, settings, device, initial)
         save_net(net, self.output, self.record(schedule))
         return 0, {"checkpoint": str(self.output)}
+
+    def _prior(self) -> PriorNet:
+        if self.prior is None and get_category(self.category).name not in shipped_categories():
+            raise InputError(
+                f"{self.category} has no shipped prior: run omad train prior, then give --prior its folder"
+            )
+        prior = load_priornet(self.prior or find_weights(self.category) / "prior")
+        check_category("--prior", self.prior, prior.category, self.category)
+        return prior
+
+    def _initial(self, backbone: BackboneConfig) -> OmadNet | None:
+        if self.initial is None:
+            return None
+        net = load_net(self.initial)
+        check_category("--initial", self.initial, net.category, self.category)
+        if net.backbone.config != backbone:
+            raise InputError(f"--initial {self.initial}: is not of the size {self.size}; change --size")
+        return net

@@ -1,5 +1,9 @@
-"""The one exception that means: the input is at fault, and here is what to do about it."""
+"""The exceptions that mean: here is what went wrong, and what to do about it."""
 
 
 class InputError(ValueError):
     """Bad input. The message is one line that names the file or field and the cure; the command line exits with 2."""
+
+
+class WorkError(RuntimeError):
+    """The input was in order and the work failed. One line; the command line exits with 1."""

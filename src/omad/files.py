@@ -36,13 +36,23 @@ def write_atomic(path: str | Path, write: Callable[[Path], Any]) -> None:
     temporary = Path(name)
     try:
         os.close(handle)
+        write(temporary)
         umask = os.umask(0)
         os.umask(umask)
-        temporary.chmod(0o666 & ~umask)  # mkstemp makes files that only their owner may read
-        write(temporary)
+        temporary.chmod(0o666 & ~umask)  # mkstemp, and some writers, make files that only their owner may read
         temporary.replace(path)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror}); choose another folder") from error
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def make_folder(path: str | Path) -> None:
+    """Create a folder and those above it. Raises InputError where that cannot be."""
+    try:
+        Path(path).mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be a folder for output ({error.strerror}); choose another one") from error
 
 
 def read_depth(path: str | Path, depth_scale: float | None = None) -> np.ndarray:
@@ -79,6 +89,25 @@ def read_mask(path: str | Path) -> np.ndarray:
     if stored.ndim != 2:
         raise InputError(f"{path}: a mask needs shape (H, W), got {stored.shape}")
     return stored != 0
+
+
+def is_cloud(path: str | Path) -> bool:
+    """Whether a file holds points rather than a depth image, by its extension; NPY and NPZ by what is in them."""
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix not in DEPTH_FORMATS or suffix not in CLOUD_FORMATS:
+        return suffix in CLOUD_FORMATS
+    try:
+        loaded = np.load(path, mmap_mode="r", allow_pickle=False)
+        if not isinstance(loaded, np.ndarray):
+            with loaded:
+                if "points" in loaded.files or "depth" in loaded.files:
+                    return "points" in loaded.files
+                loaded = loaded[loaded.files[0]]
+    except Exception:  # whoever reads it next says what is wrong
+        return suffix == ".npz"
+    columns = loaded.shape[-1] if loaded.ndim else 0
+    return columns == 3 if loaded.ndim == 3 else 3 <= columns < 10  # no depth image is so narrow
 
 
 def read_cloud(path: str | Path) -> np.ndarray:
@@ -227,7 +256,9 @@ def _read_ply(path: Path) -> np.ndarray:
 
 def _read_text(path: Path) -> np.ndarray:
     """One point a line, separated by space or commas; '#' starts a comment."""
-    lines = (line.replace(",", " ") for line in path.read_text(encoding="utf-8").splitlines())
+    lines = [line.replace(",", " ") for line in path.read_text(encoding="utf-8").splitlines()]
+    if not any(line.split("#")[0].strip() for line in lines):  # loadtxt would warn on stderr and go on
+        raise InputError(f"{path}: holds no points; give lines of x y z")
     return np.loadtxt(lines, ndmin=2)
 
 

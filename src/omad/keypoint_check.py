@@ -31,7 +31,7 @@ class KeypointSpread:
 @torch.no_grad()
 def keypoint_spread(net: PriorNet, models: Sequence[ObjectModel]) -> KeypointSpread:
     """Measure a trained PriorNet on objects that it was not trained on."""
-    bank = SurfaceBank.from_models(models, net.category)
+    bank = SurfaceBank.from_models(models, net.category).to(net.part_of.device)
     nodes = object_keypoints(net, bank)
     beta = net.prior.encode(nodes)
     keypoints, joints = net.prior.keypoints(beta), net.prior.joints(beta)

@@ -135,6 +135,7 @@ def _check_metres(distances: np.ndarray, name: str) -> None:
     if median > FAR:
         raise InputError(
             f"{name}: median distance {median:.0f} looks like millimetres, metres are expected; multiply by 0.001"
+            " (on the command line: --depth-scale 0.001)"
         )
 
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
 
+from .categories import Category
 from .errors import InputError
 
 Json = Annotated[bool, tyro.conf.arg(help="Print one JSON object on stdout and nothing else there.")]
@@ -15,8 +17,15 @@ Weights = Annotated[Path | None, tyro.conf.arg(help="Checkpoint folder in place 
 Result = tuple[int, dict[str, Any]]
 
 
-def check_positive(**counts: float | None) -> None:
-    """Raises InputError for an option below one; None is an option that was not given."""
-    for name, value in counts.items():
-        if value is not None and value <= 0:
-            raise InputError(f"--{name.replace('_', '-')} {value}: must be at least 1")
+def check_positive(**options: float | None) -> None:
+    """Raises InputError for an option that is not above zero; None is an option that was not given."""
+    for name, value in options.items():
+        if value is not None and not 0 < value < math.inf:
+            need = "at least 1" if isinstance(value, int) else "a number above 0"
+            raise InputError(f"--{name.replace('_', '-')} {value}: must be {need}")
+
+
+def check_category(option: str, folder: Path | None, found: Category, wanted: str) -> None:
+    """Raises InputError where the checkpoint ``folder`` given with ``option`` is of another category than wanted."""
+    if found.name != wanted:
+        raise InputError(f"{option} {folder}: is for {found.name}, not for {wanted}; change it or --category")

@@ -15,6 +15,8 @@ def readable(answer: dict[str, Any]) -> str:
         return pose_table(answer)
     if "joints" in answer:
         return joint_table(answer["joints"])
+    if "refused" in answer and "results" in answer:
+        return estimate_table(answer["results"])
     return "\n".join(f"{key}: {_plain(value)}" for key, value in answer.items())
 
 
@@ -56,6 +58,18 @@ def joint_table(joints: list[dict[str, Any]]) -> str:
                 "-" if joint["pivot"] is None else _vector(joint["pivot"]),
             ]
         )
+    return table(rows)
+
+
+def estimate_table(results: list[dict[str, Any]]) -> str:
+    """What ``estimate`` found in many inputs, a line a joint."""
+    rows = [["input", "joint", "state", "open", "converged"]]
+    for result in results:
+        for joint in result["joints"]:
+            turns = joint["type"] == "revolute"
+            state = _state(joint["state"], turns) + " ± " + _state(joint["state_std"], turns)
+            share = "-" if joint["fraction"] is None else f"{joint['fraction']:.0%}"
+            rows.append([result["input"], joint["name"], state, share, "yes" if result["converged"] else "no"])
     return table(rows)
 
 

@@ -16,8 +16,8 @@ import torch
 from torch import Tensor, nn
 from tqdm import tqdm
 
-from .errors import InputError
-from .files import write_atomic
+from .errors import InputError, WorkError
+from .files import make_folder, write_atomic
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ def train(
     ``folder`` receives ``state.pt`` (everything needed to go on, replaced atomically), ``metrics.jsonl`` and
     TensorBoard events. ``config`` says what is trained; a state of another config is refused (InputError).
     """
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     device = next(model.parameters()).device
     generator = torch.Generator(device=device).manual_seed(schedule.seed)
     trained = [p for p in model.parameters() if p.requires_grad]
@@ -105,7 +105,7 @@ def train(
             if step % schedule.log_steps == 0:
                 values = {name: term.item() for name, term in terms.items()}
                 if not math.isfinite(sum(values.values())):
-                    raise RuntimeError(f"the loss is not finite at step {step}: {values}")
+                    raise WorkError(f"the loss is not finite at step {step} ({values}); lower the learning rate")
                 log.write(step, seconds, schedule.batch, values, show=bar.disable)
             if now - saved > schedule.save_seconds:
                 save()

@@ -6,7 +6,6 @@ models. The written root link is canonical space and zero of every joint is the 
 
 from __future__ import annotations
 
-import os
 import re
 import xml.etree.ElementTree as ElementTree
 from collections import Counter
@@ -21,6 +20,7 @@ import yourdfpy
 
 from .categories import Category
 from .errors import InputError
+from .files import write_atomic
 from .kinematics import JointType
 from .objects import Mesh, ObjectModel
 
@@ -168,14 +168,13 @@ def write_urdf(model: ObjectModel, path: Path | str) -> Path:
     """
     path = Path(path)
     file = path if path.suffix == ".urdf" else path / "model.urdf"
-    (file.parent / "meshes").mkdir(parents=True, exist_ok=True)
 
     robot = ElementTree.Element("robot", name=model.name)
     # a prismatic joint has no place of its own: its frame stays at the canonical origin
     places = np.concatenate([np.zeros((1, 3)), model.pivots])
     for part, (name, mesh) in enumerate(zip(model.part_names, model.parts, strict=True)):
         mesh_file = Path("meshes") / (re.sub(r"[^\w-]", "_", f"{file.stem}-{part}-{name}") + ".obj")
-        _write_whole(file.parent / mesh_file, _obj_text(mesh))
+        _write_text(file.parent / mesh_file, _obj_text(mesh))
         link = ElementTree.SubElement(robot, "link", name=name)
         for role in ("visual", "collision"):
             element = ElementTree.SubElement(link, role)
@@ -193,7 +192,7 @@ def write_urdf(model: ObjectModel, path: Path | str) -> Path:
         limit = {"lower": repr(float(low)), "upper": repr(float(high)), "effort": "100", "velocity": "10"}
         ElementTree.SubElement(joint, "limit", limit)
     ElementTree.indent(robot)
-    _write_whole(file, '<?xml version="1.0"?>\n' + ElementTree.tostring(robot, encoding="unicode") + "\n")
+    _write_text(file, '<?xml version="1.0"?>\n' + ElementTree.tostring(robot, encoding="unicode") + "\n")
     return file
 
 
@@ -389,7 +388,5 @@ def _obj_text(mesh: Mesh) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _write_whole(path: Path, text: str) -> None:
-    temporary = path.with_name(path.name + f".{os.getpid()}.part")
-    temporary.write_text(text, encoding="utf-8")
-    temporary.replace(path)
+def _write_text(path: Path, text: str) -> None:
+    write_atomic(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))

@@ -37,9 +37,10 @@ def compare_views(
 ) -> ViewAgreement:
     """Errors on noise-free training views and on rendered standard views of the same objects."""
     category, points = net.category, net.backbone.config.points
-    bank = SurfaceBank.from_models(models, category)
+    device = net.prior.revolute.device
+    bank = SurfaceBank.from_models(models, category).to(device)
     nodes = object_keypoints(priornet, bank)
-    generator = torch.Generator().manual_seed(seed)
+    generator = torch.Generator(device).manual_seed(seed)
     settings = ViewSettings(points=points, scale=(1.0, 1.0), noise=0.0)
     batches = [draw_views(bank, category, 50, settings, generator) for _ in range(-(-views // 50))]
     drawn = torch.cat([_errors(net, batch, nodes) for batch in batches])[:views]
@@ -60,7 +61,11 @@ def _errors(net: OmadNet, views: ViewBatch, nodes: torch.Tensor) -> torch.Tensor
 def _rendered(models: Sequence[ObjectModel], bank: SurfaceBank, net: OmadNet, views: int, seed: int) -> list[ViewBatch]:
     """Standard views as batches such as training has them."""
     rng = np.random.default_rng(seed)
-    unit, prismatic, points = net.category.metres_per_unit, ~net.prior.revolute.numpy(), net.backbone.config.points
+    unit, prismatic, points = (
+        net.category.metres_per_unit,
+        ~net.prior.revolute.cpu().numpy(),
+        net.backbone.config.points,
+    )
     index, clouds, states, poses = [], [], [], []
     for number, view in enumerate(standard_views(models, net.category, views, seed)):
         cloud = Observation.from_depth(view.depth, view.camera).points
@@ -68,18 +73,19 @@ def _rendered(models: Sequence[ObjectModel], bank: SurfaceBank, net: OmadNet, vi
         states.append(np.where(prismatic, view.states / unit, view.states))
         poses.append(view.T_camera_base)
         index.append(number % len(models))
-    pose = torch.as_tensor(np.stack(poses), dtype=torch.float32)
+    device = bank.points.device
+    pose = torch.as_tensor(np.stack(poses), dtype=torch.float32, device=device)
     pose[:, :3, 3] /= unit
-    which = torch.tensor(index)
+    which = torch.tensor(index, device=device)
     batch = ViewBatch(
-        points=torch.as_tensor(np.stack(clouds), dtype=torch.float32),
-        labels=torch.zeros(len(index), points, dtype=torch.int64),
-        states=torch.as_tensor(np.stack(states), dtype=torch.float32),
+        points=torch.as_tensor(np.stack(clouds), dtype=torch.float32, device=device),
+        labels=torch.zeros(len(index), points, dtype=torch.int64, device=device),
+        states=torch.as_tensor(np.stack(states), dtype=torch.float32, device=device),
         T_camera_base=pose,
         axes=bank.axes[which],
         pivots=bank.pivots[which],
         indices=which,
-        scale=torch.ones(len(index), 3),
+        scale=torch.ones(len(index), 3, device=device),
     )
     return [
         ViewBatch(**{name: getattr(batch, name)[start : start + 50] for name in batch.__dataclass_fields__})

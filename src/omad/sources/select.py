@@ -26,6 +26,8 @@ def load_models(
     if source == "procedural":
         return ModelSource([generate(category, index, split, seed) for index in range(objects)])
     found = load_folder(source, category)
+    if not found.models and len(found.refused) == 1:
+        raise InputError(f"{source}: no usable model in it: {found.refused[0].reason}")
     for refusal in found.refused:
         print(f"left out {refusal.name}: {refusal.reason}", file=sys.stderr)
     if not found.models:
