@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -65,6 +66,8 @@ def find_weights(name: str | Path) -> Path:
         return WEIGHTS / name
     if Path(name).is_dir():
         return Path(name)
+    if isinstance(name, Path):
+        raise InputError(f"{name}: no such folder; give the folder that a training wrote")
     known = ", ".join(shipped_categories()) or "none"
     raise InputError(f"no weights for {str(name)!r}: give a checkpoint folder or a category with weights ({known})")
 
@@ -80,6 +83,8 @@ def category_from_dict(values: dict[str, Any]) -> Category:
     values["parts"] = tuple(PartSpec(**{k: _tuples(v) for k, v in part.items()}) for part in values["parts"])
     values["joints"] = tuple(JointSpec(**{k: _tuples(v) for k, v in joint.items()}) for joint in values["joints"])
     values["views"] = ViewRange(**{k: _tuples(v) for k, v in values["views"].items()})
+    if not 0 < values["metres_per_unit"] < math.inf:
+        raise ValueError("metres_per_unit must be above 0")
     return Category(**values)
 
 

@@ -33,6 +33,8 @@ from .runtime import pick_device
 from .views import choose_points
 
 NOTHING_KNOWN = Known()
+USUAL_SIZE = 2.5
+"""Diagonal of an object's cloud in category units; 1.5 to 4 in standard views."""
 DOUBTFUL = 0.07
 """Expected keypoint error (geometric mean, category units; 0.03 is usual) above which an estimate carries a warning."""
 
@@ -202,7 +204,9 @@ class Estimator:
                         T_camera_part=initial.T_camera_part[b],
                     ),
                     seconds=dict(seconds),
-                    warnings=observation.warnings + _doubts(keypoint_std[b] / unit),
+                    warnings=observation.warnings
+                    + _size_doubts(observation.points, category)
+                    + _doubts(keypoint_std[b] / unit),
                 )
             )
         return estimates
@@ -264,6 +268,17 @@ class _Placed:
                 )
             )
         return tuple(answers)
+
+
+def _size_doubts(points: np.ndarray, category: Category) -> tuple[str, ...]:
+    """A warning where the cloud cannot be an object of the category at its size: a wrong depth scale, mostly."""
+    size, usual = float(np.linalg.norm(np.ptp(points, axis=0))), USUAL_SIZE * category.metres_per_unit
+    if usual / 4 < size < 4 * usual:
+        return ()
+    return (
+        f"the cloud is {size:.3g} m across, a {category.name} about {usual:.2g} m: is the depth scale right,"
+        " and is the object cut out?",
+    )
 
 
 def _doubts(keypoint_std: np.ndarray) -> tuple[str, ...]:
