@@ -20,7 +20,10 @@ from . import commands_train as t
 from .errors import InputError, WorkError
 from .tables import readable
 
-_ABOUT = "Shape, pose, joint states and joint axes of unseen articulated objects from one depth view."
+_ABOUT = (
+    "Shape, pose, joint states and joint axes of unseen articulated objects from one depth view."
+    " Exit codes: 0 done, 1 the work itself failed, 2 bad input or usage."
+)
 _name = tyro.conf.subcommand
 _Train = Annotated[
     Annotated[t.TrainPrior, _name("prior")] | Annotated[t.TrainNet, _name("net")],

@@ -33,7 +33,7 @@ from .files import (
     write_atomic,
 )
 from .observation import Observation
-from .options import Device, Json, Result, Weights, check_category, check_positive
+from .options import CategoryName, Device, Json, Result, Seed, Weights, check_category, check_positive
 from .report import describe, figure, save
 from .runtime import pick_device
 from .sources.procedural import generate
@@ -52,7 +52,7 @@ class Demo:
     """Folder for the pictures and URDFs."""
     objects: int = 2
     """Objects a category."""
-    seed: int = 0
+    seed: Seed = 0
     weights: Weights = None
     device: Device = "cpu"
     json: Json = False
@@ -72,12 +72,12 @@ class Demo:
 @dataclass(frozen=True)
 class Estimate:
     """Estimate objects from depth images (PNG, TIFF, NPY, NPZ) or clouds (PLY, PCD, XYZ, NPY, NPZ): JSON, URDF and a
-    picture each. A bad one of many inputs is named on stderr and under "refused", the rest is done, exit code 2."""
+    picture each."""
 
     inputs: tyro.conf.Positional[tuple[Path, ...]]
-    """Files, or folders of them."""
-    category: str
-    """Category of the objects."""
+    """Files, or folders of them. A bad one of many is named on stderr and under "refused" of the JSON; the others,
+    under "results", are done, and the exit code is 2."""
+    category: CategoryName
     intrinsics: str | None = None
     """Of the depth camera: fx,fy,cx,cy or a file (Open3D or RealSense JSON, ROS YAML, 3x3 text)."""
     mask: Path | None = None
@@ -180,11 +180,14 @@ class _Reader:
 class Generate:
     """Write procedural objects as URDF."""
 
-    category: str
+    category: CategoryName
     output: Path
+    """Folder for a sub-folder an object, each with its URDF and meshes."""
     objects: int = 10
+    """How many."""
     split: Literal["train", "test"] = "train"
-    seed: int = 0
+    """test: objects that no training has seen."""
+    seed: Seed = 0
     json: Json = False
 
     def run(self) -> Result:
@@ -202,19 +205,22 @@ class Generate:
 class Render:
     """Render standard views (depth, part labels, truth) of object models into a folder; resumes where it stopped."""
 
-    category: str
+    category: CategoryName
     output: Path
+    """Folder for the views; the same command goes on in it, another one is refused."""
     source: str = "procedural"
     """procedural, or a folder of URDF / PartNet-Mobility models."""
     objects: int = 20
     """Procedural objects."""
     split: Literal["train", "test"] = "test"
+    """Of the procedural objects."""
     views: int = 200
     """In total, dealt out to the objects."""
-    seed: int = 0
+    seed: Seed = 0
     noise: Literal["off", "half", "on", "double"] = "off"
     """Camera noise."""
     processes: int = 1
+    """That render at a time; the views are the same for any number."""
     json: Json = False
 
     def run(self) -> Result:
@@ -238,8 +244,9 @@ class Render:
 class Export:
     """Write a checkpoint folder that is complete alone (network, prior, category spec), for other programs."""
 
-    category: str
+    category: CategoryName
     output: Path
+    """Folder for the checkpoint; --weights takes it."""
     weights: Weights = None
     json: Json = False
 

@@ -13,7 +13,7 @@ from .estimator import Estimator, EstimatorConfig
 from .evaluation import draw_worst, evaluate, summary
 from .files import make_folder
 from .keypoint_check import keypoint_spread
-from .options import Device, Json, Result, Weights, check_category, check_positive
+from .options import CategoryName, Device, Json, Result, Seed, Weights, check_category, check_positive
 from .runtime import pick_device
 from .sources.procedural import generate
 from .sources.select import load_models
@@ -26,14 +26,14 @@ from .view_folder import open_views
 class EvalPose:
     """Measure pose, joint states and joint axes on views of unseen objects, before and after refinement."""
 
-    category: str
+    category: CategoryName
     source: str = "procedural"
     """procedural, a folder of URDF / PartNet-Mobility models, or a folder that ``omad render`` made."""
     objects: int = 20
     """Procedural objects."""
     views: int = 200
     """In total, dealt out to the objects; of a rendered folder always all."""
-    seed: int = 0
+    seed: Seed = 0
     depth_noise: bool = False
     """Simulate the depth camera's noise; a rendered folder has its own."""
     method: Literal["least_squares", "adam"] = "least_squares"
@@ -77,10 +77,10 @@ class EvalPose:
 class EvalKeypoints:
     """Show that keypoints correspond: how far each one's place in its part wanders between unseen objects."""
 
-    category: str
+    category: CategoryName
     objects: int = 100
     """Procedural objects, whose semantic places are known."""
-    seed: int = 0
+    seed: Seed = 0
     weights: Weights = None
     """Prior checkpoint folder in place of the shipped one."""
     device: Device = "cpu"
@@ -98,11 +98,12 @@ class EvalKeypoints:
 class EvalViews:
     """Show that training views are like rendered ones: the error of the network's first look on both."""
 
-    category: str
+    category: CategoryName
     objects: int = 20
+    """Procedural objects."""
     views: int = 1000
     """Of each kind."""
-    seed: int = 0
+    seed: Seed = 0
     weights: Weights = None
     device: Device = "cpu"
     json: Json = False

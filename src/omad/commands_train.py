@@ -14,7 +14,7 @@ from .checkpoint import find_weights, load_net, load_priornet, save_net, save_pr
 from .errors import InputError
 from .objects import ObjectModel
 from .omadnet import OmadNet
-from .options import Device, Json, Result, check_category, check_positive
+from .options import CategoryName, Device, Json, Result, Seed, check_category, check_positive
 from .pointnet2 import PAPER_SIZE, SLIM, BackboneConfig
 from .priornet import PriorNet
 from .runtime import keep_freed_memory, pick_device
@@ -28,7 +28,7 @@ from .training import Schedule
 class _Training:
     """Options that both trainings share."""
 
-    category: str
+    category: CategoryName
     output: Path
     """Folder for the checkpoint, the state to resume from, and the metrics. The same command resumes."""
     source: str = "procedural"
@@ -43,7 +43,7 @@ class _Training:
     """Peak learning rate; default: the preset's. Half of it serves for fine-tuning."""
     max_minutes: float | None = None
     """Finish within this time, learning-rate decay and all."""
-    seed: int = 0
+    seed: Seed = 0
     threads: int = 0
     """CPU threads; 0: PyTorch's choice. One is faster than two where another program computes."""
     device: Device = "auto"

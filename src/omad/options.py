@@ -8,9 +8,11 @@ from typing import Annotated, Any
 
 import tyro
 
-from .categories import Category
+from .categories import CATEGORIES, Category
 from .errors import InputError
 
+CategoryName = Annotated[str, tyro.conf.arg(help=f"{', '.join(CATEGORIES)}, or that of your own weights.")]
+Seed = Annotated[int, tyro.conf.arg(help="Another seed, other random choices.")]
 Json = Annotated[bool, tyro.conf.arg(help="Print one JSON object on stdout and nothing else there.")]
 Device = Annotated[str, tyro.conf.arg(help="cpu, cuda, or auto: CUDA where there is one.")]
 Weights = Annotated[Path | None, tyro.conf.arg(help="Checkpoint folder in place of the shipped weights.")]
