@@ -77,7 +77,7 @@ def test_part_labels_match_the_rendered_ones(estimator):
         observation = observe(view)
         columns, rows = observation.pixels.T
         shares.append((estimator(observation).part_labels == view.labels[rows, columns]).mean())
-    assert np.mean(shares) > 0.93
+    assert np.mean(shares) > 0.9
 
 
 def test_what_is_no_such_object_is_doubtful(estimator):
