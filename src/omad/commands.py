@@ -97,7 +97,7 @@ class Estimate:
     def run(self) -> Result:
         check_positive(depth_scale=self.depth_scale)
         files = _input_files(self.inputs)
-        one = files == list(self.inputs)[:1]
+        one = len(self.inputs) == 1 and files[0] == self.inputs[0]
         reader = _Reader.of(self, files)
         estimator = Estimator.from_pretrained(self.weights or self.category, self.device)
         check_category("--weights", self.weights, estimator.category, self.category)

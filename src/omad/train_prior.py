@@ -39,6 +39,7 @@ def train_prior(
     device: torch.device | str = "cpu",
 ) -> PriorNet:
     """Learn basis, joint function and statistics of beta from ``models``; returns the averaged network."""
+    torch.manual_seed(settings.schedule.seed)  # initial weights of the layers; the rest comes from generators
     generator = torch.Generator().manual_seed(settings.schedule.seed)
     bank = SurfaceBank.from_models(models, category, seed=settings.schedule.seed).to(device)
     net = PriorNet(category, generator=generator).to(device)
