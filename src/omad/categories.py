@@ -59,10 +59,13 @@ class Category:
     parts: tuple[PartSpec, ...]
     joints: tuple[JointSpec, ...]
     rest: tuple[str, ...]
-    """Per joint, how geometry tells the rest state: 'closed' (box smallest), 'perpendicular' (child at 90 degrees)."""
+    """Per joint, how geometry tells the rest state: 'closed' (box smallest), 'perpendicular' (child at 90 degrees),
+    'tips together' (two long parts that cross at the joint point the same way)."""
     views: ViewRange = ViewRange()
     basis_size: int = 10
     """|beta|."""
+    swap_symmetry: bool = False
+    """The object turned half about z with its two parts swapped is the same object: either labelling is right."""
 
     def __post_init__(self) -> None:
         for part in self.parts:
@@ -144,7 +147,60 @@ DRAWER = Category(
     rest=("closed", "closed", "closed"),
 )
 
-CATEGORIES = {category.name: category for category in (LAPTOP, DISHWASHER, DRAWER)}
+EYEGLASSES = Category(
+    name="eyeglasses",
+    metres_per_unit=0.11,
+    parts=(
+        PartSpec("frame", 16, mirror=0, aliases=("frame", "glass", "body", "base", "lens")),
+        PartSpec("right_temple", 8, mirror=2, aliases=("leg", "temple", "arm")),
+        PartSpec("left_temple", 8, mirror=1, aliases=("leg", "temple", "arm")),
+    ),
+    joints=(
+        JointSpec(
+            name="right_hinge",
+            type="revolute",
+            parent=0,
+            axis=(0.0, 1.0, 0.0),
+            limits=(0.0, math.radians(90)),
+            reach=(0.0, 0.0, -1.0),
+            side=(1.0, 0.0, -1.0),
+        ),
+        JointSpec(
+            name="left_hinge",
+            type="revolute",
+            parent=0,
+            axis=(0.0, 1.0, 0.0),
+            limits=(math.radians(-90), 0.0),
+            reach=(0.0, 0.0, -1.0),
+            side=(-1.0, 0.0, -1.0),
+        ),
+    ),
+    rest=("perpendicular", "perpendicular"),
+    views=ViewRange(azimuth=math.pi),
+)
+
+SCISSORS = Category(
+    name="scissors",
+    metres_per_unit=0.11,
+    parts=(
+        PartSpec("blade", 12, aliases=("blade", "handle", "leg", "scissor")),
+        PartSpec("other_blade", 12, aliases=("blade", "handle", "leg", "scissor")),
+    ),
+    joints=(
+        JointSpec(
+            name="pivot",
+            type="revolute",
+            parent=0,
+            axis=(0.0, 1.0, 0.0),
+            limits=(math.radians(-70), 0.0),
+        ),
+    ),
+    rest=("tips together",),
+    views=ViewRange(azimuth=math.pi, elevation=(math.radians(20), math.radians(90))),
+    swap_symmetry=True,
+)
+
+CATEGORIES = {category.name: category for category in (LAPTOP, EYEGLASSES, DISHWASHER, SCISSORS, DRAWER)}
 
 
 def get_category(name: str) -> Category:
