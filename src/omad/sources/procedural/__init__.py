@@ -12,10 +12,12 @@ from ...errors import InputError
 from ...objects import ObjectModel
 from .dishwasher import dishwasher
 from .drawer import drawer
+from .eyeglasses import eyeglasses
 from .laptop import laptop
 
 GENERATORS: dict[str, Callable[[np.random.Generator, str], ObjectModel]] = {
     "laptop": laptop,
+    "eyeglasses": eyeglasses,
     "dishwasher": dishwasher,
     "drawer": drawer,
 }

@@ -5,24 +5,30 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from ...objects import Mesh
 
 
-def loft(rings: np.ndarray) -> Mesh:
-    """Solid through a stack of rings (L, n, 3), each star-shaped about its mean; both ends are closed."""
+def loft(rings: np.ndarray, closed: bool = False) -> Mesh:
+    """Solid through a stack of rings (L, n, 3); ``closed``: the last joins the first.
+
+    Otherwise both ends are capped, and the end rings must be star-shaped about their means.
+    """
     levels, n, _ = rings.shape
-    vertices = np.concatenate([rings.reshape(-1, 3), rings[0].mean(0)[None], rings[-1].mean(0)[None]])
     index = np.arange(n)
     following = (index + 1) % n
     faces = []
-    for level in range(levels - 1):
-        a, b = level * n + index, level * n + following
-        faces += [np.stack([a, b, b + n], 1), np.stack([a, b + n, a + n], 1)]
-    bottom, top = levels * n, levels * n + 1
-    last = (levels - 1) * n
-    faces.append(np.stack([following, index, np.full(n, bottom)], 1))
-    faces.append(np.stack([last + index, last + following, np.full(n, top)], 1))
+    for level in range(levels if closed else levels - 1):
+        a, b = level * n, (level + 1) % levels * n
+        faces += [np.stack([a + index, a + following, b + following], 1)]
+        faces += [np.stack([a + index, b + following, b + index], 1)]
+    vertices = rings.reshape(-1, 3)
+    if not closed:
+        last, bottom, top = (levels - 1) * n, levels * n, levels * n + 1
+        faces.append(np.stack([following, index, np.full(n, bottom)], 1))
+        faces.append(np.stack([last + index, last + following, np.full(n, top)], 1))
+        vertices = np.concatenate([vertices, rings[0].mean(0)[None], rings[-1].mean(0)[None]])
     return _outward(vertices, np.concatenate(faces))
 
 
@@ -84,15 +90,42 @@ def cylinder(start: Sequence[float], end: Sequence[float], radius: float, segmen
 
 def tube(path: np.ndarray, radius: float, segments: int = 10) -> Mesh:
     """Round bar along a path (L, 3) that lies in a plane and does not turn back on itself."""
-    along = np.gradient(path, axis=0)
-    along /= np.linalg.norm(along, axis=1, keepdims=True)
     across = np.cross(path[-1] - path[0], path[len(path) // 2] - path[0])
     if np.linalg.norm(across) < 1e-9:  # straight: any normal will do
-        across = np.cross(along[0], np.eye(3)[np.abs(along[0]).argmin()])
-    across /= np.linalg.norm(across)
-    up = np.cross(along, across)[:, None]
-    angle = (np.arange(segments) * 2 * np.pi / segments)[:, None]
-    return loft(path[:, None] + radius * (np.cos(angle) * across + np.sin(angle) * up))
+        along = path[-1] - path[0]
+        across = np.cross(along, np.eye(3)[np.abs(along).argmin()])
+    return sweep(path, across, ellipse(radius, radius, segments))
+
+
+def ellipse(a: float, b: float, segments: int = 10) -> np.ndarray:
+    """Outline (n, 2) counter-clockwise with semi-axes ``a`` and ``b``."""
+    angle = np.arange(segments) * 2 * np.pi / segments
+    return np.stack([a * np.cos(angle), b * np.sin(angle)], 1)
+
+
+def sweep(path: np.ndarray, normal: np.ndarray, section: np.ndarray, closed: bool = False) -> Mesh:
+    """Solid along a path (L, 3), open or a loop, with a cross-section (n, 2) or one a point of the path (L, n, 2).
+
+    The section's second coordinate is measured along ``normal``, (3,) or (L, 3), its first across it and the path.
+    """
+    along = np.roll(path, -1, 0) - np.roll(path, 1, 0) if closed else np.gradient(path, axis=0)
+    normal = np.broadcast_to(normal, path.shape)
+    side = np.cross(normal, along)
+    side /= np.linalg.norm(side, axis=1, keepdims=True)
+    normal = np.cross(along, side)
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    section = np.broadcast_to(section, (len(path), *section.shape[-2:]))
+    return loft(path[:, None] + section[..., :1] * side[:, None] + section[..., 1:] * normal[:, None], closed)
+
+
+def spline(points: Sequence[Sequence[float]], count: int, closed: bool = False) -> np.ndarray:
+    """Smooth curve (count, D) through ``points``, evenly spaced in the points' own distances."""
+    through = np.asarray(points, float)
+    if closed:
+        through = np.concatenate([through, through[:1]])
+    length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(through, axis=0), axis=1))])
+    curve = CubicSpline(length, through, bc_type="periodic" if closed else "natural")
+    return curve(np.linspace(0.0, length[-1], count, endpoint=not closed))
 
 
 def warp(mesh: Mesh, move) -> Mesh:
