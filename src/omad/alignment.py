@@ -162,8 +162,7 @@ def _closed_revolute(parent: Mesh, child: Mesh, axis: np.ndarray, pivot: np.ndar
     reachable = [state for state in states if _excess(state, limits) < 1.5 * NEAR_LIMIT]
     # a door folded into a hollow body would make an even smaller box, but for the overlap
     closed = min(reachable or states, key=lambda state: section.box_area(state) + 2 * section.overlap(state))
-    stated = [limit for limit in limits if abs(limit - closed) < NEAR_LIMIT]
-    return float(min(stated, key=lambda limit: abs(limit - closed))) if stated else closed
+    return _snapped(closed, limits)
 
 
 def _perpendicular(parent: Mesh, child: Mesh, axis: np.ndarray, pivot: np.ndarray, limits: np.ndarray) -> float:
@@ -195,9 +194,17 @@ def _closed_prismatic(parent: Mesh, child: Mesh, axis: np.ndarray, pivot: np.nda
     return next(state for state in states if length(state) <= 1.02 * shortest)
 
 
+def _tips_together(parent: Mesh, child: Mesh, axis: np.ndarray, pivot: np.ndarray, limits: np.ndarray) -> float:
+    """Both parts point the same way; a limit near by is taken as it stands."""
+    tip, moving = tip_direction(parent, axis, pivot), tip_direction(child, axis, pivot)
+    state = math.atan2(np.cross(moving, tip) @ axis, moving @ tip)
+    return _snapped(_wrapped(state, limits), limits)
+
+
 _REST_RULES: dict[tuple[str, str], Callable[..., float]] = {
     ("revolute", "closed"): _closed_revolute,
     ("revolute", "perpendicular"): _perpendicular,
+    ("revolute", "tips together"): _tips_together,
     ("prismatic", "closed"): _closed_prismatic,
 }
 
@@ -212,6 +219,11 @@ def _cross_section(parent: Mesh, child: Mesh, axis: np.ndarray, pivot: np.ndarra
         child=(child.vertices - pivot) @ plane,
         aligned=-turn + np.arange(4) * math.pi / 2,
     )
+
+
+def _snapped(state: float, limits: np.ndarray) -> float:
+    stated = [limit for limit in limits if abs(limit - state) < NEAR_LIMIT]
+    return float(min(stated, key=lambda limit: abs(limit - state))) if stated else state
 
 
 def _wrapped(state: float, limits: np.ndarray) -> float:
@@ -263,12 +275,41 @@ def face_directions(mesh: Mesh, axis: np.ndarray) -> tuple[np.ndarray, np.ndarra
     return along, np.cross(axis, along)
 
 
+def tip_direction(mesh: Mesh, axis: np.ndarray, pivot: np.ndarray) -> np.ndarray:
+    """Unit vector across ``axis`` from ``pivot`` to the tip of a long part that crosses there: its slimmer end."""
+    first = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
+    first /= np.linalg.norm(first)
+    plane = np.stack([first, np.cross(axis, first)], 1)
+    corners = (mesh.vertices[mesh.faces] - pivot) @ plane
+    normals = np.cross(*np.moveaxis(mesh.vertices[mesh.faces][:, 1:] - mesh.vertices[mesh.faces][:, :1], 1, 0))
+    weight = np.repeat(np.linalg.norm(normals, axis=1), 3) + 1e-30
+    points = ((corners + np.roll(corners, 1, 1)) / 2).reshape(-1, 2)  # second moments are exact at edges' middles
+    long = np.linalg.eigh((points * weight[:, None]).T @ points)[1][:, 1]
+
+    def spread(way: np.ndarray) -> float:
+        side = points @ way > 0
+        return float(np.linalg.eigvalsh(np.cov(points[side].T, aweights=weight[side]))[0]) if side.sum() > 2 else 0.0
+
+    way = min((long, -long), key=spread)
+    ends = (mesh.vertices - pivot) @ plane
+    reach = np.linalg.norm(ends, axis=1) * (ends @ way > 0)
+    tip = plane @ ends[reach > 0.98 * reach.max()].mean(0)
+    return tip / np.linalg.norm(tip)
+
+
 def _frames(model: ObjectModel, category: Category) -> Iterator[np.ndarray]:
-    """Rotations R (model to canonical) that bring the first axis to the spec's line and faces to faces."""
+    """Rotations R (model to canonical) that bring the first axis to the spec's line and faces to faces, or tips
+    that point the same way to +z."""
     target = np.array(category.joints[0].axis) / np.linalg.norm(category.joints[0].axis)
     side = np.cross(target, np.eye(3)[np.abs(target).argmin()])
     side /= np.linalg.norm(side)
     canonical = np.stack([target, side, np.cross(target, side)], 1)
+    if category.rest[0] == "tips together":
+        tips = sum(tip_direction(part, model.axes[0], model.pivots[0]) for part in model.parts[:2])
+        front = tips / np.linalg.norm(tips)
+        for axis in (model.axes[0], -model.axes[0]):
+            yield np.stack([np.cross(axis, front), axis, front])
+        return
     along, across = face_directions(model.parts[0], model.axes[0])
     for sign in (1.0, -1.0):
         for a, b in ((along, across), (across, -along), (-along, -across), (-across, along)):

@@ -14,11 +14,13 @@ from .dishwasher import dishwasher
 from .drawer import drawer
 from .eyeglasses import eyeglasses
 from .laptop import laptop
+from .scissors import scissors
 
 GENERATORS: dict[str, Callable[[np.random.Generator, str], ObjectModel]] = {
     "laptop": laptop,
     "eyeglasses": eyeglasses,
     "dishwasher": dishwasher,
+    "scissors": scissors,
     "drawer": drawer,
 }
 _STREAMS = {"train": 0, "test": 1}
