@@ -8,7 +8,7 @@ from omad.categories import CATEGORIES, DISHWASHER, LAPTOP
 from omad.geometry import invert_transform, transform_points
 from omad.kinematics import part_transforms
 from omad.sources.procedural import generate
-from omad.views import SurfaceBank, ViewSettings, draw_views, is_closed, visible
+from omad.views import SurfaceBank, ViewSettings, draw_views, visible
 
 CLEAN = ViewSettings(points=256, noise=0.0)
 
@@ -76,7 +76,7 @@ def test_noise_moves_points_as_a_stereo_camera_does(bank):
 
 @pytest.mark.parametrize("name", sorted(CATEGORIES))
 def test_generated_objects_are_closed(name):
-    assert all(is_closed(generate(CATEGORIES[name], i)) for i in range(30))
+    assert all(generate(CATEGORIES[name], i).closed for i in range(30))
 
 
 def test_stretching_carries_joints_along():

@@ -6,6 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
+import trimesh
+from scipy.spatial import KDTree
 
 from .kinematics import KinematicTree, part_transforms
 
@@ -70,6 +72,12 @@ class ObjectModel:
         boxes = self.part_boxes()
         return float(np.linalg.norm(boxes[:, 1].max(0) - boxes[:, 0].min(0)))
 
+    @property
+    def closed(self) -> bool:
+        """Whether every part is a union of closed, outward-oriented surfaces."""
+        meshes = [trimesh.Trimesh(p.vertices, p.faces, process=False) for p in self.parts]
+        return all(mesh.is_watertight and mesh.volume > 0 for mesh in meshes)
+
     def centred(self) -> ObjectModel:
         """The same object with its rest box centred on the origin."""
         boxes = self.part_boxes()
@@ -95,3 +103,56 @@ class ObjectModel:
         points = corner[:, 0] + u * (corner[:, 1] - corner[:, 0]) + v * (corner[:, 2] - corner[:, 0])
         unit = normals[chosen] / area[chosen, None]
         return SurfaceSamples(points.astype(np.float32), unit.astype(np.float32), labels[chosen])
+
+
+NEIGHBOURS = 10
+"""Of a surface point, that tell its normal and how much of the surface it stands for."""
+
+
+@dataclass(frozen=True)
+class PointObject:
+    """An articulated object of which only surface points are known: enough to train on, not to render."""
+
+    name: str
+    axes: np.ndarray
+    """(J, 3) unit, canonical space."""
+    pivots: np.ndarray
+    """(J, 3) metres."""
+    limits: np.ndarray
+    """(J, 2) radians or metres."""
+    surface: SurfaceSamples
+    """(N,) points in all; normals may point to either side."""
+    areas: np.ndarray
+    """(N,) shares of the surface that the points stand for."""
+    closed = False
+
+    @classmethod
+    def from_clouds(
+        cls, name: str, clouds: list[np.ndarray], axes: np.ndarray, pivots: np.ndarray, limits: np.ndarray
+    ) -> PointObject:
+        """From the points (n, 3) of each part; each part may be sampled as densely as it likes."""
+        normals, areas = zip(*(_local_planes(cloud) for cloud in clouds), strict=True)
+        surface = SurfaceSamples(
+            points=np.concatenate(clouds).astype(np.float32),
+            normals=np.concatenate(normals).astype(np.float32),
+            labels=np.repeat(np.arange(len(clouds)), [len(cloud) for cloud in clouds]),
+        )
+        area = np.concatenate(areas)
+        return cls(name, axes, pivots, limits, surface, area / area.sum())
+
+    def surface_samples(self, count: int, rng: np.random.Generator) -> SurfaceSamples:
+        """``count`` of the points, by area over all parts together; they may repeat."""
+        chosen = rng.choice(len(self.areas), count, p=self.areas)
+        return SurfaceSamples(self.surface.points[chosen], self.surface.normals[chosen], self.surface.labels[chosen])
+
+
+SampledObject = ObjectModel | PointObject
+"""What surfaces can be drawn from."""
+
+
+def _local_planes(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Unit normals (n, 3) of either sign, and the area (n,) around each point, from its neighbours."""
+    distances, nearest = KDTree(points).query(points, min(NEIGHBOURS, len(points)))
+    around = points[nearest] - points[nearest].mean(1, keepdims=True)
+    normals = np.linalg.eigh(around.transpose(0, 2, 1) @ around)[1][..., 0]
+    return normals, distances[:, -1] ** 2

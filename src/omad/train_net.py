@@ -14,7 +14,7 @@ from .errors import InputError
 from .geometry import invert_transform, make_transform, matrix_to_quaternion, so3_exp
 from .kinematics import deform
 from .losses import confidence_loss, joint_loss, quaternion_loss, state_loss
-from .objects import ObjectModel
+from .objects import SampledObject
 from .omadnet import OmadNet, first_frame, to_input_frame
 from .pointnet2 import SLIM, BackboneConfig
 from .prior import JointParameters
@@ -112,7 +112,7 @@ def net_losses(net: OmadNet, views: ViewBatch, truth: ViewTruth, frames: Tensor,
 
 
 def train_net(
-    models: Sequence[ObjectModel],
+    models: Sequence[SampledObject],
     category: Category,
     priornet: PriorNet,
     folder: Path,

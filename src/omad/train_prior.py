@@ -11,7 +11,7 @@ from torch import Tensor
 
 from .categories import Category
 from .losses import joint_loss
-from .objects import ObjectModel
+from .objects import SampledObject
 from .prior import OmadPrior
 from .priornet import PriorLossWeights, PriorNet, prior_losses
 from .training import Schedule, train
@@ -32,7 +32,7 @@ class PriorTraining:
 
 
 def train_prior(
-    models: Sequence[ObjectModel],
+    models: Sequence[SampledObject],
     category: Category,
     folder: Path,
     settings: PriorTraining,

@@ -13,14 +13,13 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 import torch
-import trimesh
 from torch import Tensor
 
 from .camera import STANDARD_CAMERA
 from .categories import Category
 from .geometry import bounding_box
 from .kinematics import part_transforms
-from .objects import ObjectModel
+from .objects import SampledObject
 from .viewpoints import sample_poses, sample_states, uniform
 
 GRID = 48
@@ -50,7 +49,7 @@ class SurfaceBank:
 
     @classmethod
     def from_models(
-        cls, models: Sequence[ObjectModel], category: Category, samples: int = 8192, seed: int = 0
+        cls, models: Sequence[SampledObject], category: Category, samples: int = 8192, seed: int = 0
     ) -> SurfaceBank:
         """Sample every model; the same seed gives the same bank."""
         drawn = [m.surface_samples(samples, np.random.default_rng([seed, i])) for i, m in enumerate(models)]
@@ -68,7 +67,7 @@ class SurfaceBank:
             axes=tensor([m.axes for m in models]),
             pivots=tensor([m.pivots / unit for m in models]),
             limits=tensor(list(np.where(prismatic[:, None], limits / unit, limits))),
-            closed=torch.tensor([is_closed(m) for m in models]),
+            closed=torch.tensor([m.closed for m in models]),
         )
 
     def __len__(self) -> int:
@@ -91,12 +90,6 @@ class SurfaceBank:
             limits=self.limits[indices],
             closed=self.closed[indices],
         )
-
-
-def is_closed(model: ObjectModel) -> bool:
-    """Whether every part is a union of closed, outward-oriented surfaces."""
-    meshes = [trimesh.Trimesh(p.vertices, p.faces, process=False) for p in model.parts]
-    return all(mesh.is_watertight and mesh.volume > 0 for mesh in meshes)
 
 
 @dataclass(frozen=True)

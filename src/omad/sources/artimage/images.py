@@ -1,0 +1,248 @@
+"""Images of an ArtImage download, as views with their truth."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from PIL import Image
+
+from ...camera import Camera
+from ...categories import Category
+from ...errors import InputError
+from ...files import read_intrinsics
+from ...render import NOTHING
+from ...standard_views import View
+from .layout import DEPTH_STEP, SPLITS, Layout, Split, peculiarities, read_json
+from .objects import ArtImageObject, read_object, read_rest_states
+
+Broken = Literal["refuse", "skip"]
+"""What to do about broken files: stop at the first, or leave out what they belong to and list it."""
+
+
+@dataclass(frozen=True)
+class BrokenFile:
+    """What was left out."""
+
+    name: str
+    """Of the annotation or the object."""
+    reason: str
+    """One line."""
+
+
+@dataclass(frozen=True)
+class Annotation:
+    """One image's annotation as it stands in its file."""
+
+    path: Path
+    object: str
+    box: tuple[int, int, int, int]
+    """x1, y1, x2, y2, half-open pixels."""
+    depth: Path
+    mask: Path
+    T_camera_link: dict[int, np.ndarray]
+    """(4, 4) model frame -> camera per link, in the file's units."""
+    states: dict[int, float]
+    """Per child link, degrees or units."""
+
+
+@dataclass(frozen=True)
+class ArtImage:
+    """The images of one category and split; iterate over it for its views, in the order of their lists.
+
+    Depth and truth are in metres, and only pixels of the object's box have depth.
+    """
+
+    category: Category
+    camera: Camera
+    objects: dict[str, ArtImageObject]
+    annotations: tuple[Annotation, ...]
+    broken: Broken
+    left_out: list[BrokenFile] = field(default_factory=list)
+    """Grows while images are read."""
+
+    def __len__(self) -> int:
+        return len(self.annotations)
+
+    def __iter__(self) -> Iterator[View]:
+        whole = []
+        for annotation in self.annotations:  # what is missing is known before the work begins
+            with _passing_over(self.broken, self.left_out, annotation.path.name):
+                _check_there(annotation.depth, annotation.mask)
+                whole.append(annotation)
+        for annotation in whole:
+            view = None
+            with _passing_over(self.broken, self.left_out, annotation.path.name):
+                view = self.view(annotation)
+            if view is not None:
+                yield view
+
+    def view(self, annotation: Annotation) -> View:
+        """The image of one annotation. Raises InputError where it is not readable."""
+        category, thing = self.category, self.objects[annotation.object]
+        stored = _read_depth(annotation.depth)
+        mask = _read_channels(annotation.mask)
+        mask = mask if mask.ndim == 2 else mask[..., 2]
+        for path, image in ((annotation.depth, stored), (annotation.mask, mask)):
+            if image.shape != (self.camera.height, self.camera.width):
+                raise InputError(f"{path}: {image.shape} pixels do not fit the camera's; download it again")
+        x1, y1, x2, y2 = annotation.box
+        inside = np.zeros(stored.shape, dtype=bool)
+        inside[y1:y2, x1:x2] = True
+        depth = np.where(inside, stored * (DEPTH_STEP * category.metres_per_unit), 0.0).astype(np.float32)
+        part_of = np.full(max(256, int(mask.max()) + 1), NOTHING, dtype=np.uint8)
+        part_of[list(thing.links)] = np.arange(len(thing.links))
+        T_camera_model = annotation.T_camera_link[0].copy()
+        T_camera_model[:3, 3] *= category.metres_per_unit
+        return View(
+            truth=thing.truth,
+            depth=depth,
+            labels=np.where(depth > 0, part_of[mask], np.uint8(NOTHING)),
+            camera=self.camera,
+            states=thing.states([annotation.states[link] for link in thing.links[1:]], category),
+            T_camera_base=T_camera_model @ np.linalg.inv(thing.T_canonical_base),
+            seed=(),
+        )
+
+
+def open_artimage(root: Path | str, category: Category, split: Split, broken: Broken = "refuse") -> ArtImage:
+    """Images and objects of one category and split of an ArtImage root.
+
+    ``broken="refuse"`` raises InputError at the first broken file; ``"skip"`` leaves out the annotation or the object
+    that it belongs to, says so on stderr, and lists it. InputError is raised in any case where the root, the lists,
+    the camera or the rest states are missing, or nothing is left.
+    """
+    layout = Layout(Path(root), category.name)
+    if Layout(layout.root.parent, layout.root.name).images.joinpath("annotations").is_dir():
+        raise InputError(f"{root}: is the folder of one category; give the one above it")
+    if not layout.folder.is_dir():
+        raise InputError(f"{root}: no folder {category.name} in it; give an ArtImage root that has this category")
+    rest_states = read_rest_states(layout)
+    left_out: list[BrokenFile] = []
+    annotations = []
+    for name, listed in _listed(layout).items():
+        with _passing_over(broken, left_out, name):
+            annotation = read_annotation(layout, name, len(category.parts))
+            annotations.append((annotation, listed))
+    test = _test_objects(annotations, category)
+    chosen = [annotation for annotation, _ in annotations if (annotation.object in test) == (split == "test")]
+    objects: dict[str, ArtImageObject] = {}
+    for name in dict.fromkeys(annotation.object for annotation in chosen):
+        with _passing_over(broken, left_out, name):
+            objects[name] = read_object(layout, name, rest_states, category)
+    chosen = tuple(annotation for annotation in chosen if annotation.object in objects)
+    if not chosen:
+        reason = f" ({left_out[0].reason})" if left_out else f"; see {layout.valid('train')} and {layout.valid('test')}"
+        raise InputError(f"{layout.folder}: no usable image of the {split} split{reason}")
+    return ArtImage(category, _read_camera(layout), objects, chosen, broken, left_out)
+
+
+def read_annotation(layout: Layout, name: str, parts: int) -> Annotation:
+    """Annotation file ``name`` of an object with ``parts`` parts. Raises InputError naming the field that is wrong."""
+    path = layout.annotation(name)
+    record = read_json(path)
+    field_name = "instances"
+    try:
+        (instance,) = record["instances"]
+        field_name = "urdf_id"
+        thing = str(instance["urdf_id"])
+        field_name = "bbox"
+        x1, y1, x2, y2 = (int(value) for value in instance["bbox"])
+        if not (0 <= x1 < x2 and 0 <= y1 < y2):
+            raise ValueError
+        field_name = "depth_path"
+        depth = str(record["depth_path"])
+        field_name = "links"
+        links: dict[int, Any] = {int(link["link_category_id"]): link for link in instance["links"]}
+        if sorted(links) != list(range(parts)):
+            raise ValueError
+        field_name = "transformation"
+        transforms = {k: np.array(link["transformation"], dtype=np.float64) for k, link in links.items()}
+        if any(T.shape != (4, 4) or not np.isfinite(T).all() for T in transforms.values()):
+            raise ValueError
+        field_name = "state"
+        states = {k: float(link["state"]) for k, link in links.items() if k}
+        if not np.isfinite(list(states.values())).all():
+            raise ValueError
+    except (KeyError, TypeError, ValueError) as error:
+        wanted = {
+            "instances": "one instance",
+            "bbox": "x1, y1, x2, y2 with x1 < x2 and y1 < y2",
+            "links": f"the links 0 to {parts - 1}",
+            "transformation": "a 4x4 matrix of each link",
+            "state": "a number for each link but the base",
+        }.get(field_name, "it")
+        raise InputError(f"{path}: field {field_name!r} is not right: needs {wanted}; leave this image out") from error
+    mask = depth.replace("depth", "category_mask")
+    return Annotation(path, thing, (x1, y1, x2, y2), layout.images / depth, layout.images / mask, transforms, states)
+
+
+def _listed(layout: Layout) -> dict[str, set[Split]]:
+    """Annotation names in the order of the lists, and which lists name them."""
+    found: dict[str, set[Split]] = {}
+    for split in SPLITS:
+        path = layout.valid(split)
+        if not path.is_file():
+            raise InputError(f"{path}: missing; download it again")
+        for line in path.read_text(encoding="utf-8").splitlines():
+            if line.strip():
+                found.setdefault(line.strip(), set()).add(split)
+    return found
+
+
+def _test_objects(annotations: list[tuple[Annotation, set[Split]]], category: Category) -> set[str]:
+    """The authors' test objects, and those whose images only the test list names."""
+    found = set(peculiarities(category).test_objects)
+    listed: dict[str, set[Split]] = {}
+    for annotation, lists in annotations:
+        listed.setdefault(annotation.object, set()).update(lists)
+    return found | {name for name, lists in listed.items() if lists == {"test"}}
+
+
+def _read_camera(layout: Layout) -> Camera:
+    record = read_json(layout.camera)
+    K = read_intrinsics(layout.camera)
+    try:
+        return Camera.from_K(K, int(record["width"]), int(record["height"]))
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(f"{layout.camera}: no width and height; download it again") from error
+
+
+def _read_depth(path: Path) -> np.ndarray:
+    """(H, W) stored integers of either encoding: one channel, or green * 256 + red."""
+    stored = _read_channels(path).astype(np.int64)
+    return stored if stored.ndim == 2 else stored[..., 1] * 256 + stored[..., 0]
+
+
+def _read_channels(path: Path) -> np.ndarray:
+    """(H, W) or (H, W, 3 or more)."""
+    _check_there(path)
+    try:
+        with Image.open(path) as image:
+            return np.asarray(image.convert("RGB") if image.mode in ("P", "LA") else image)
+    except (OSError, SyntaxError, ValueError) as error:
+        reason = " ".join(str(error).split())
+        raise InputError(f"{path}: not readable as an image ({reason}); download it again") from error
+
+
+def _check_there(*paths: Path) -> None:
+    for path in paths:
+        if not path.is_file():
+            raise InputError(f"{path}: missing; download it again, or take it off the list")
+
+
+@contextmanager
+def _passing_over(broken: Broken, left_out: list[BrokenFile], name: str) -> Iterator[None]:
+    """Whether an InputError inside ends the work or is noted down."""
+    try:
+        yield
+    except InputError as error:
+        if broken == "refuse":
+            raise InputError(f"{error} (or leave out what is broken with --broken skip)") from error
+        print(f"left out {name}: {error}", file=sys.stderr)
+        left_out.append(BrokenFile(name, str(error)))
