@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, overload
 
@@ -23,7 +23,7 @@ from .adam_recipe import AdamResult, refine_with_adam
 from .categories import Category
 from .checkpoint import find_weights, load_net
 from .estimate import Estimate, InitialEstimate, JointEstimate
-from .geometry import transform_points
+from .geometry import fit_transform, transform_points
 from .kinematics import joint_lines, part_transforms
 from .known import Known
 from .observation import Observation
@@ -111,7 +111,7 @@ class Estimator:
             network += self._lap(began)
             began = time.perf_counter()
             first = first or look
-            refined = self._refine(look.targets, start or look.state, known)
+            refined = self._refine(look.targets, start or self._placed(look), known)
             start, frame = refined.state, refined.state.T_camera_base
             refinement += self._lap(began)
             began = time.perf_counter()
@@ -154,6 +154,15 @@ class Estimator:
             ),
             part_logits=said.part_logits.unflatten(0, (batch, samples)).flatten(1, 2),
         )
+
+    def _placed(self, look: _Look) -> State:
+        """The network's answer with the base where its keypoints say: they have no seam, as its quaternion has one
+        somewhere on the circle around the object."""
+        prior, state = self.net.prior, look.state
+        at_origin = torch.eye(4, device=self.device).expand(len(state.beta), 4, 4)
+        keypoints = prior.deform(state.beta, state.joint_states, at_origin)
+        pose = fit_transform(keypoints, look.targets.keypoints, look.targets.weights)
+        return replace(state, T_camera_base=pose)
 
     def _refine(self, targets: Targets, start: State, known: Known) -> Refined:
         prior = self.net.prior

@@ -97,6 +97,21 @@ def transform_points(transform: Tensor, points: Tensor) -> Tensor:
     return points @ transform[..., :3, :3].transpose(-1, -2) + transform[..., None, :3, 3]
 
 
+def fit_transform(a: Tensor, b: Tensor, weights: Tensor) -> Tensor:
+    """The rigid T (B, 4, 4) that brings points ``a`` (B, N, 3) nearest to ``b``: weighted least squares, closed form.
+
+    Kabsch, "A solution for the best rotation to relate two sets of vectors", 1976. ``weights`` (B, N).
+    """
+    share = (weights / weights.sum(-1, keepdim=True))[..., None]
+    mean_a, mean_b = (share * a).sum(-2), (share * b).sum(-2)
+    moment = (share * (b - mean_b[..., None, :])).mT @ (a - mean_a[..., None, :])
+    U, _, V = torch.linalg.svd(moment)
+    sign = torch.ones_like(mean_a)
+    sign[..., 2] = torch.linalg.det(U @ V)
+    R = U * sign[..., None, :] @ V
+    return make_transform(R, mean_b - (R @ mean_a[..., None]).squeeze(-1))
+
+
 def rotation_angle(a: Tensor, b: Tensor) -> Tensor:
     """Angle in radians of the rotation between ``a`` and ``b`` (..., 3, 3); accurate near 0 and pi."""
     return 2 * torch.asin((0.5 * (a - b).flatten(-2).norm(dim=-1) / 2**0.5).clamp(max=1))

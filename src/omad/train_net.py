@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -48,6 +49,8 @@ class NetTraining:
     weights: NetLossWeights = NetLossWeights()
     second_looks: float = 0.5
     """Share of views shown in a disturbed base frame, as the second look at an object is."""
+    turned: float = 0.15
+    """Share of those that are turned by quarters too, as after a first answer that took one side for another."""
 
 
 @dataclass(frozen=True)
@@ -74,9 +77,10 @@ def view_truth(net: OmadNet, views: ViewBatch, nodes: Tensor) -> ViewTruth:
     return ViewTruth(beta=beta, keypoints=keypoints, canonical=canonical)
 
 
-def disturbed_frames(views: ViewBatch, share: float, generator: torch.Generator) -> Tensor:
+def disturbed_frames(views: ViewBatch, share: float, turned: float, generator: torch.Generator) -> Tensor:
     """T_camera_input (B, 4, 4): the first look's frame, or for a ``share`` of views the base frame with an error
-    such as a first answer has (mostly a few degrees, sometimes tens)."""
+    such as a first answer has: mostly a few degrees, sometimes tens, and for a share ``turned`` of those a quarter,
+    half or three-quarter turn about a canonical axis besides."""
     batch, like = len(views.points), views.points
 
     def normal(*shape: int) -> Tensor:
@@ -84,6 +88,12 @@ def disturbed_frames(views: ViewBatch, share: float, generator: torch.Generator)
 
     size = 0.12 * (1 + normal(batch, 1).square())
     error = make_transform(so3_exp(normal(batch, 3) * size), 0.25 * size * normal(batch, 3))
+    axis = torch.eye(3, dtype=like.dtype, device=like.device)[
+        torch.randint(3, (batch,), device=like.device, generator=generator)
+    ]
+    quarters = torch.randint(1, 4, (batch, 1), device=like.device, generator=generator)
+    quarters = quarters * (torch.rand(batch, 1, device=like.device, generator=generator) < turned)
+    error = make_transform(so3_exp(axis * quarters * (math.pi / 2)), torch.zeros_like(axis)) @ error
     second = torch.rand(batch, 1, 1, dtype=like.dtype, device=like.device, generator=generator) < share
     return torch.where(second, views.T_camera_base @ error, first_frame(views.points))
 
@@ -134,7 +144,7 @@ def train_net(
         with torch.no_grad():
             views = draw_views(bank, category, settings.schedule.batch, settings.views, draw)
             truth = view_truth(module, views, nodes)
-            frames = disturbed_frames(views, settings.second_looks, draw)
+            frames = disturbed_frames(views, settings.second_looks, settings.turned, draw)
         return net_losses(module, views, truth, frames, settings.weights)
 
     config = {"kind": "net", "category": asdict(category), "objects": [m.name for m in models]}

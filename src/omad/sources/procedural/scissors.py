@@ -60,7 +60,7 @@ def scissors(rng: np.random.Generator, name: str) -> ObjectModel:
     level = (0.5 if rng.random() < 0.5 else -0.5) * (first.thickness + second.thickness) * rng.uniform(0.5, 1.0)
     base = _half(rng, first, -level)
     child = [_mirrored(solid) for solid in _half(rng, second, level)]
-    radius = rng.uniform(0.0015, 0.3 * first.width)
+    radius = rng.uniform(0.0014, max(0.3 * first.width, 0.002))
     reach = abs(level) + 0.5 * max(first.thickness, second.thickness) + rng.uniform(0.0002, 0.0025)
     if rng.random() < 0.85:
         (base if rng.random() < 0.5 else child).append(cylinder((0, -reach, 0), (0, reach, 0), radius, 14))
