@@ -7,19 +7,15 @@ from pathlib import Path
 from typing import Literal
 
 from .checkpoint import find_weights, load_net, load_priornet
-from .depth_noise import LEVELS
-from .errors import InputError
 from .estimator import Estimator, EstimatorConfig
 from .evaluation import draw_worst, evaluate, summary
 from .files import make_folder
 from .keypoint_check import keypoint_spread
-from .options import CategoryName, Device, Json, Result, Seed, Weights, check_category, check_positive
+from .options import BrokenFiles, CategoryName, Device, Json, Result, Seed, Weights, check_category, check_positive
 from .runtime import pick_device
 from .sources.procedural import generate
-from .sources.select import load_models
-from .standard_views import standard_views
+from .sources.select import load_views
 from .view_check import compare_views
-from .view_folder import open_views
 
 
 @dataclass(frozen=True)
@@ -28,14 +24,16 @@ class EvalPose:
 
     category: CategoryName
     source: str = "procedural"
-    """procedural, a folder of URDF / PartNet-Mobility models, or a folder that ``omad render`` made."""
+    """procedural, a folder of URDF / PartNet-Mobility models, an ArtImage root (its test split), or a folder that
+    ``omad render`` made."""
     objects: int = 20
     """Procedural objects."""
     views: int = 200
-    """In total, dealt out to the objects; of a rendered folder always all."""
+    """In total, dealt out to the objects; of a rendered folder or an ArtImage root always all."""
     seed: Seed = 0
     depth_noise: bool = False
     """Simulate the depth camera's noise; a rendered folder has its own."""
+    broken: BrokenFiles = "refuse"
     method: Literal["least_squares", "adam"] = "least_squares"
     """How to refine; adam: the paper's own recipe, for comparison."""
     pictures: Path | None = None
@@ -52,22 +50,9 @@ class EvalPose:
         check_category("--weights", self.weights, category, self.category)
         if self.pictures is not None:
             make_folder(self.pictures)
-        noisy = self.depth_noise
-        refused: list[dict[str, str]] = []
-        if self.source != "procedural" and (Path(self.source) / "dataset.json").is_file():
-            folder = open_views(self.source)
-            if folder.category != category.name:
-                raise InputError(f"{self.source}: views of {folder.category}, not of {category.name}")
-            if noisy:
-                raise InputError(f"{self.source}: is rendered already; leave out --depth-noise, or render with --noise")
-            views, total, noisy = iter(folder), len(folder), folder.noise is not None
-        else:
-            source = load_models(self.source, category, self.objects, "test", self.seed)
-            noise = LEVELS["on" if noisy else "off"]
-            views, total = standard_views(source.models, category, self.views, self.seed, noise), self.views
-            refused = source.refused
-        results = evaluate(estimator, views, total)
-        answer = summary(results, category, self.source) | {"depth_noise": noisy, "refused": refused}
+        source = load_views(self.source, category, self.objects, self.views, self.seed, self.depth_noise, self.broken)
+        results = evaluate(estimator, source.views, source.total)
+        answer = summary(results, category, self.source) | {"depth_noise": source.noisy, "refused": source.refused}
         if self.pictures is not None:
             answer["pictures"] = draw_worst(results, category, self.pictures)
         return (1 if answer["failures"] == len(results) else 0), answer

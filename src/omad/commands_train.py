@@ -12,13 +12,13 @@ from . import __version__
 from .categories import Category, get_category
 from .checkpoint import find_weights, load_net, load_priornet, save_net, save_priornet, shipped_categories
 from .errors import InputError
-from .objects import ObjectModel
+from .objects import SampledObject
 from .omadnet import OmadNet
-from .options import CategoryName, Device, Json, Result, Seed, check_category, check_positive
+from .options import BrokenFiles, CategoryName, Device, Json, Result, Seed, check_category, check_positive
 from .pointnet2 import PAPER_SIZE, SLIM, BackboneConfig
 from .priornet import PriorNet
 from .runtime import keep_freed_memory, pick_device
-from .sources.select import load_models
+from .sources.select import load_training_objects
 from .train_net import NetTraining, train_net
 from .train_prior import PriorTraining, train_prior
 from .training import Schedule
@@ -32,9 +32,10 @@ class _Training:
     output: Path
     """Folder for the checkpoint, the state to resume from, and the metrics. The same command resumes."""
     source: str = "procedural"
-    """procedural, or a folder of URDF / PartNet-Mobility models."""
+    """procedural, a folder of URDF / PartNet-Mobility models, or an ArtImage root (its train split)."""
     objects: int = 1000
     """Procedural objects."""
+    broken: BrokenFiles = "refuse"
     steps: int | None = None
     """Optimiser steps; default: the preset's."""
     batch: int | None = None
@@ -49,7 +50,7 @@ class _Training:
     device: Device = "auto"
     json: Json = False
 
-    def prepare(self, schedule: Schedule) -> tuple[Category, list[ObjectModel], Schedule, torch.device]:
+    def prepare(self, schedule: Schedule) -> tuple[Category, list[SampledObject], Schedule, torch.device]:
         check_positive(objects=self.objects, steps=self.steps, batch=self.batch)
         check_positive(learning_rate=self.learning_rate, max_minutes=self.max_minutes)
         if self.threads < 0:
@@ -58,7 +59,7 @@ class _Training:
         if self.threads:
             torch.set_num_threads(self.threads)
         category = get_category(self.category)
-        models = load_models(self.source, category, self.objects, "train", 0).models
+        models = load_training_objects(self.source, category, self.objects, 0, self.broken)
         schedule = replace(schedule, seed=self.seed, max_minutes=self.max_minutes)
         if self.steps is not None:
             schedule = replace(schedule, steps=self.steps)

@@ -10,12 +10,17 @@ import tyro
 
 from .categories import CATEGORIES, Category
 from .errors import InputError
+from .sources.artimage import Broken
 
 CategoryName = Annotated[str, tyro.conf.arg(help=f"{', '.join(CATEGORIES)}, or that of your own weights.")]
 Seed = Annotated[int, tyro.conf.arg(help="Another seed, other random choices.")]
 Json = Annotated[bool, tyro.conf.arg(help="Print one JSON object on stdout and nothing else there.")]
 Device = Annotated[str, tyro.conf.arg(help="cpu, cuda, or auto: CUDA where there is one.")]
 Weights = Annotated[Path | None, tyro.conf.arg(help="Checkpoint folder in place of the shipped weights.")]
+BrokenFiles = Annotated[
+    Broken,
+    tyro.conf.arg(help="Broken files of an ArtImage root: refuse the root, or skip what they belong to and list it."),
+]
 Result = tuple[int, dict[str, Any]]
 
 

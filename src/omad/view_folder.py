@@ -75,6 +75,11 @@ class ViewFolder:
         return View(truth, depth, labels, self.camera, states, pose, tuple(record["seed"]))
 
 
+def is_view_folder(folder: str | Path) -> bool:
+    """Whether ``render_to_folder`` made, or began, this folder."""
+    return (Path(folder) / "dataset.json").is_file()
+
+
 def open_views(folder: str | Path) -> ViewFolder:
     """A folder that ``render_to_folder`` made. Raises InputError where it is none, or is not finished."""
     path = Path(folder)

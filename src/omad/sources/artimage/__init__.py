@@ -1,6 +1,6 @@
 """ArtImage, as its authors released it: images with truth, objects as surface points, and a writer of the same."""
 
-from .images import ArtImage, Broken, BrokenFile, open_artimage
+from .images import ArtImage, Broken, open_artimage
 from .layout import is_artimage
 
-__all__ = ["ArtImage", "Broken", "BrokenFile", "is_artimage", "open_artimage"]
+__all__ = ["ArtImage", "Broken", "is_artimage", "open_artimage"]

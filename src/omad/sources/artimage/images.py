@@ -26,16 +26,6 @@ Broken = Literal["refuse", "skip"]
 
 
 @dataclass(frozen=True)
-class BrokenFile:
-    """What was left out."""
-
-    name: str
-    """Of the annotation or the object."""
-    reason: str
-    """One line."""
-
-
-@dataclass(frozen=True)
 class Annotation:
     """One image's annotation as it stands in its file."""
 
@@ -63,8 +53,8 @@ class ArtImage:
     objects: dict[str, ArtImageObject]
     annotations: tuple[Annotation, ...]
     broken: Broken
-    left_out: list[BrokenFile] = field(default_factory=list)
-    """Grows while images are read."""
+    left_out: list[dict[str, str]] = field(default_factory=list)
+    """{"name": of the annotation or object, "reason": one line}; grows while images are read."""
 
     def __len__(self) -> int:
         return len(self.annotations)
@@ -123,7 +113,7 @@ def open_artimage(root: Path | str, category: Category, split: Split, broken: Br
     if not layout.folder.is_dir():
         raise InputError(f"{root}: no folder {category.name} in it; give an ArtImage root that has this category")
     rest_states = read_rest_states(layout)
-    left_out: list[BrokenFile] = []
+    left_out: list[dict[str, str]] = []
     annotations = []
     for name, listed in _listed(layout).items():
         with _passing_over(broken, left_out, name):
@@ -137,8 +127,8 @@ def open_artimage(root: Path | str, category: Category, split: Split, broken: Br
             objects[name] = read_object(layout, name, rest_states, category)
     chosen = tuple(annotation for annotation in chosen if annotation.object in objects)
     if not chosen:
-        reason = f" ({left_out[0].reason})" if left_out else f"; see {layout.valid('train')} and {layout.valid('test')}"
-        raise InputError(f"{layout.folder}: no usable image of the {split} split{reason}")
+        reason = left_out[0]["reason"] if left_out else f"{layout.valid('train')} and {layout.valid('test')} name none"
+        raise InputError(f"{layout.folder}: no usable image of the {split} split ({reason})")
     return ArtImage(category, _read_camera(layout), objects, chosen, broken, left_out)
 
 
@@ -237,7 +227,7 @@ def _check_there(*paths: Path) -> None:
 
 
 @contextmanager
-def _passing_over(broken: Broken, left_out: list[BrokenFile], name: str) -> Iterator[None]:
+def _passing_over(broken: Broken, left_out: list[dict[str, str]], name: str) -> Iterator[None]:
     """Whether an InputError inside ends the work or is noted down."""
     try:
         yield
@@ -245,4 +235,4 @@ def _passing_over(broken: Broken, left_out: list[BrokenFile], name: str) -> Iter
         if broken == "refuse":
             raise InputError(f"{error} (or leave out what is broken with --broken skip)") from error
         print(f"left out {name}: {error}", file=sys.stderr)
-        left_out.append(BrokenFile(name, str(error)))
+        left_out.append({"name": name, "reason": str(error)})
