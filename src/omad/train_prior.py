@@ -79,10 +79,11 @@ def finish_prior(
 ) -> None:
     """Once the nodes correspond, make the prior the best that they allow.
 
-    The basis becomes the best linear one of its size (truncated SVD of all nodes, each object stretched ``draws``
-    times; half the error of the basis that taught the nodes), scaled so that every beta has mean square one; the
-    joint function is fitted to the betas of that basis; mean and covariance of beta are taken.
+    The basis becomes the best linear one of its size (truncated SVD of all nodes, each object stretched at least
+    ``draws`` times; half the error of the basis that taught the nodes), scaled so that every beta has mean square
+    one; the joint function is fitted to the betas of that basis; mean and covariance of beta are taken.
     """
+    draws = max(draws, -(-2 * prior.basis_size // len(nodes)))  # so that one object is enough
     count, device = draws * len(nodes), nodes.device
     generator = torch.Generator().manual_seed(0)
     stretch = uniform(*scale, (count, 3), nodes.cpu(), generator).to(device)
