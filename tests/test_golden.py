@@ -26,8 +26,8 @@ def name(request) -> str:
 
 def test_errors_stay_below_the_stated_ones(name):
     estimator = Estimator.from_pretrained(name, device="cpu")
-    unit = estimator.category.metres_per_unit
-    revolute = np.array([joint.type == "revolute" for joint in estimator.category.joints])
+    category = estimator.category
+    unit, revolute = category.metres_per_unit, category.revolute
     with np.load(DATA / f"golden_{name}.npz") as file:
         data = dict(file)
     observations = [Observation.from_points(points * 2e-4) for points in data["points"]]
@@ -35,7 +35,7 @@ def test_errors_stay_below_the_stated_ones(name):
     found = []
     for i, estimate in enumerate(estimates):
         truth = ObjectPose(data["states"][i], data["axes"][i], data["pivots"][i], data["T_camera_part"][i])
-        found.append(pose_errors(estimate.pose(), truth, data["part_boxes"][i], revolute, unit))
+        found.append(pose_errors(estimate.pose(), truth, data["part_boxes"][i], category))
     state = np.array([e.joint_state for e in found])
     axis = np.degrees([e.axis for e in found])
     distance = np.array([e.axis_distance for e in found]) / unit

@@ -1,11 +1,14 @@
 """Metrics against closed forms, and nothing dropped."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from omad.categories import DRAWER, EYEGLASSES, LAPTOP, SCISSORS
 from omad.metrics import ObjectPose, bootstrap_interval, missing_errors, pose_errors, summarise
 
-REVOLUTE = np.array([True])
+HALF = replace(LAPTOP, metres_per_unit=0.5)
 BOXES = np.array([[[-1.0, -1, -1], [1, 1, 1]], [[0.0, 0, 0], [2, 2, 2]]])
 
 
@@ -17,7 +20,7 @@ def pose(state=0.0, axis=(1.0, 0, 0), pivot=(0.0, 0, 0), turn=0.0, shift=(0.0, 0
 
 
 def errors(estimate: ObjectPose):
-    return pose_errors(estimate, pose(), BOXES, REVOLUTE, unit=0.5)
+    return pose_errors(estimate, pose(), BOXES, HALF)
 
 
 def test_the_truth_has_no_error():
@@ -55,14 +58,14 @@ def test_not_finite_counts_as_missing():
     assert found.missing
     assert np.degrees(found.joint_state[0]) == pytest.approx(90)
     assert found.axis_distance[0] == 0.5
-    prismatic = missing_errors(2, np.array([False]), 0.5)
-    assert prismatic.joint_state[0] == 0.5
+    prismatic = missing_errors(DRAWER)
+    assert prismatic.joint_state[0] == DRAWER.metres_per_unit
     assert np.isnan(prismatic.axis_distance[0])
 
 
 def test_summary_keeps_missing_views_in_the_mean():
     good, bad = errors(pose(state=np.radians(2))), errors(pose(state=np.nan))
-    table = summarise([good, good, good, bad], np.ones(4), REVOLUTE)
+    table = summarise([good, good, good, bad], np.ones(4), HALF)
     assert table["joint_state_error_deg"][0]["mean"] == pytest.approx((3 * 2 + 90) / 4)
     assert table["joint_state_error_deg"][0]["median"] == pytest.approx(2)
     assert table["joint_state_error"] == [None]
@@ -74,3 +77,30 @@ def test_bootstrap_resamples_objects_not_views():
     low, high = bootstrap_interval(values, np.repeat(["a", "b"], 50))
     assert (low, high) == (1.0, 3.0)  # two objects: any draw may hold one of them only
     assert bootstrap_interval(np.ones(10), np.arange(10)) == (1.0, 1.0)
+
+
+def test_swapped_labels_of_scissors_are_no_error():
+    opened = pose(state=-0.4, axis=(0.0, 1, 0))
+    turn = np.eye(4)
+    turn[:3, :3] = [[np.cos(0.4), 0, -np.sin(0.4)], [0, 1, 0], [np.sin(0.4), 0, np.cos(0.4)]]  # -0.4 about +y
+    opened = replace(opened, T_camera_part=np.stack([np.eye(4), turn]))
+    other = opened.swapped()
+    assert other.axes == pytest.approx(-opened.axes)
+    # seen from its own base, the child still turns by -0.4 about +y
+    relative = np.linalg.inv(other.T_camera_part[0]) @ other.T_camera_part[1]
+    assert relative == pytest.approx(turn)
+    found = pose_errors(other, opened, BOXES, SCISSORS)
+    for values in (found.joint_state, found.axis, found.axis_distance, found.rotation, found.translation):
+        assert values == pytest.approx(0, abs=1e-6)
+    assert np.degrees(pose_errors(other, opened, BOXES, LAPTOP).axis[0]) == pytest.approx(180)
+
+
+def test_glasses_seen_from_behind_are_flipped_and_their_temples_swapped():
+    boxes = np.array([[[-7.0, -2, 5], [7, 2, 5]], [[6.0, 0, -5], [7, 1, 5]], [[-7.0, 0, -5], [-6, 1, 5]]])
+    T = np.tile(np.eye(4), (3, 1, 1))
+    truth = ObjectPose(np.zeros(2), np.array([[0.0, 1, 0]] * 2), np.array([[6.5, 0, 5], [-6.5, 0, 5]]), T)
+    turned = replace(truth, T_camera_part=T @ np.diag([-1.0, 1.0, -1.0, 1.0]))
+    found = [pose_errors(estimate, truth, boxes, EYEGLASSES) for estimate in (truth, turned)]
+    assert [(e.flipped, e.swapped) for e in found] == [(False, False), (True, True)]
+    table = summarise(found, np.ones(2), EYEGLASSES)
+    assert (table["flipped"], table["swapped"]) == (0.5, 0.5)

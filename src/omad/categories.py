@@ -66,6 +66,8 @@ class Category:
     """|beta|."""
     swap_symmetry: bool = False
     """The object turned half about z with its two parts swapped is the same object: either labelling is right."""
+    source_names: tuple[str, ...] = ()
+    """What data sets call the category besides ``name``: a model that says it is of another one is refused."""
 
     def __post_init__(self) -> None:
         for part in self.parts:
@@ -74,10 +76,17 @@ class Category:
         for index, part in enumerate(self.parts):
             if part.mirror == index and part.keypoints % 2:
                 raise ValueError(f"{self.name}: part {part.name} is its own mirror, so its keypoints must be even")
+        if self.swap_symmetry and len(self.parts) != 2:
+            raise ValueError(f"{self.name}: swap_symmetry is for two parts, not {len(self.parts)}")
 
     @property
     def tree(self) -> KinematicTree:
         return KinematicTree(tuple(j.parent for j in self.joints), tuple(j.type for j in self.joints))
+
+    @property
+    def revolute(self) -> tuple[bool, ...]:
+        """Per joint."""
+        return tuple(joint.type == "revolute" for joint in self.joints)
 
     @property
     def num_keypoints(self) -> int:
@@ -145,6 +154,7 @@ DRAWER = Category(
         for name, height in (("top_slide", 1.0), ("middle_slide", 0.0), ("bottom_slide", -1.0))
     ),
     rest=("closed", "closed", "closed"),
+    source_names=("StorageFurniture", "Table"),
 )
 
 EYEGLASSES = Category(

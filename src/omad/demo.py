@@ -28,8 +28,7 @@ def run_demo(estimators: Sequence[Estimator], output: Path, objects: int, seed: 
             observation = Observation.from_depth(view.depth, view.camera)
             estimate = estimator(observation)
             truth = true_pose(view, category)
-            revolute = np.array([joint.type == "revolute" for joint in category.joints])
-            errors = pose_errors(estimate.pose(), truth, view.truth.part_boxes, revolute, category.metres_per_unit)
+            errors = pose_errors(estimate.pose(), truth, view.truth.part_boxes, category)
             folder = output / model.name
             estimate.save_urdf(folder / "object.urdf")
             save(figure(observation, estimate, truth, model.name), folder / "estimate.png")
@@ -43,7 +42,9 @@ def run_demo(estimators: Sequence[Estimator], output: Path, objects: int, seed: 
                         "joint_states": view.states.tolist(),
                         "T_camera_base": view.T_camera_base.tolist(),
                         "axes": truth.axes.tolist(),
-                        "pivots": [p.tolist() if r else None for p, r in zip(truth.pivots, revolute, strict=True)],
+                        "pivots": [
+                            p.tolist() if r else None for p, r in zip(truth.pivots, category.revolute, strict=True)
+                        ],
                     },
                     "errors": {
                         "joint_state": errors.joint_state.tolist(),

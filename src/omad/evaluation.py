@@ -69,34 +69,32 @@ def _measure(estimator: Estimator, views: list[View]) -> list[ViewResult]:
         except InputError:  # too little of the object is left to be seen
             continue
     estimates = dict(zip(observed, estimator(list(observed.values())), strict=True))
-    revolute = np.array([joint.type == "revolute" for joint in category.joints])
     results = []
     for index, view in enumerate(views):
-        truth, boxes, unit = true_pose(view, category), view.truth.part_boxes, category.metres_per_unit
+        truth, boxes = true_pose(view, category), view.truth.part_boxes
         estimate = estimates.get(index)
         if estimate is None:
-            nothing = missing_errors(len(boxes), revolute, unit)
+            nothing = missing_errors(category)
             results.append(ViewResult(view, None, nothing, nothing))
             continue
-        initial = pose_errors(estimate.initial_pose(), truth, boxes, revolute, unit)
-        refined = pose_errors(estimate.pose(), truth, boxes, revolute, unit)
+        initial = pose_errors(estimate.initial_pose(), truth, boxes, category)
+        refined = pose_errors(estimate.pose(), truth, boxes, category)
         results.append(ViewResult(view, estimate, initial, refined))
     return results
 
 
 def summary(results: list[ViewResult], category: Category, source: str) -> dict[str, Any]:
     """The promised JSON of ``omad eval pose`` as plain values (degrees where a key says so, else metres)."""
-    revolute = np.array([joint.type == "revolute" for joint in category.joints])
     diagonals = np.array([r.view.truth.diagonal for r in results])
     names = np.array([r.view.object for r in results])
     times = [r.estimate.seconds for r in results if r.estimate]
     by_object = []
     for name in sorted(set(names)):
         own = [r.refined for r in results if r.view.object == name]
-        by_object.append({"object": name, "refined": summarise(own, diagonals[names == name], revolute)})
+        by_object.append({"object": name, "refined": summarise(own, diagonals[names == name], category)})
     state = np.stack([r.refined.joint_state for r in results])
     axis = np.degrees([r.refined.axis for r in results])
-    state = np.where(revolute, np.degrees(state), state)
+    state = np.where(category.revolute, np.degrees(state), state)
     return {
         "category": category.name,
         "source": source,
@@ -104,8 +102,8 @@ def summary(results: list[ViewResult], category: Category, source: str) -> dict[
         "views": len(results),
         "failures": sum(r.refined.missing for r in results),
         "metres_per_unit": category.metres_per_unit,
-        "initial": summarise([r.initial for r in results], diagonals, revolute),
-        "refined": summarise([r.refined for r in results], diagonals, revolute),
+        "initial": summarise([r.initial for r in results], diagonals, category),
+        "refined": summarise([r.refined for r in results], diagonals, category),
         "interval": {
             "joint_state_error": [bootstrap_interval(column, names) for column in state.T],
             "axis_error_deg": [bootstrap_interval(column, names) for column in axis.T],

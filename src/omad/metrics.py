@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 
+from .categories import Category
 from .geometry import line_distance, point_to_line, rotation_angle, vector_angle
 
 
@@ -22,6 +23,10 @@ class ObjectPose:
     """(J, 3) a point of each axis, camera frame."""
     T_camera_part: np.ndarray
     """(K, 4, 4) canonical rest coordinates to camera."""
+
+    def swapped(self) -> ObjectPose:
+        """The same object with its two parts' names exchanged, turned half about z (``Category.swap_symmetry``)."""
+        return replace(self, axes=-self.axes, T_camera_part=self.T_camera_part[::-1] @ np.diag([-1.0, -1.0, 1.0, 1.0]))
 
 
 @dataclass(frozen=True)
@@ -40,43 +45,60 @@ class PoseErrors:
     """(K,) radians."""
     translation: np.ndarray
     """(K,) metres between estimated and true place of the part's rest-box centre."""
+    swapped: bool = False
+    """Parts that are each other's mirror image were taken for each other."""
     missing: bool = False
     """The estimate had no answer; the worst was counted instead."""
+
+    @property
+    def flipped(self) -> bool:
+        """The base is seen the wrong way round."""
+        return bool(self.rotation[0] > np.pi / 2)
 
     def within(self, angle: float, length: float) -> bool:
         """Every part within ``angle`` radians and ``length`` metres."""
         return bool((self.rotation <= angle).all() and (self.translation <= length).all())
 
 
-def pose_errors(estimate: ObjectPose, truth: ObjectPose, part_boxes: np.ndarray, revolute: np.ndarray, unit: float):
-    """Errors of an estimate; ``part_boxes`` (K, 2, 3) at rest, ``revolute`` (J,) bool, ``unit`` metres per unit.
+def pose_errors(estimate: ObjectPose, truth: ObjectPose, part_boxes: np.ndarray, category: Category) -> PoseErrors:
+    """Errors of an estimate; ``part_boxes`` (K, 2, 3) at rest.
 
-    An estimate that is not finite counts as missing: 90 degrees and one category unit everywhere.
+    An estimate that is not finite counts as missing: 90 degrees and one category unit everywhere. Where the category
+    has a swap symmetry, the labelling that turns the parts less counts.
     """
     parts = (estimate.states, estimate.axes, estimate.pivots, estimate.T_camera_part)
     if not all(np.isfinite(values).all() for values in parts):
-        return missing_errors(len(part_boxes), revolute, unit)
+        return missing_errors(category)
+    labellings = [estimate, estimate.swapped()] if category.swap_symmetry else [estimate]
+    errors = [_errors(labelling, truth, part_boxes, category) for labelling in labellings]
+    return min(errors, key=lambda e: e.rotation.sum())
+
+
+def _errors(estimate: ObjectPose, truth: ObjectPose, part_boxes: np.ndarray, category: Category) -> PoseErrors:
     a, b = (_tensors(pose) for pose in (estimate, truth))
-    only = np.where(revolute, 1.0, np.nan)
+    only = np.where(category.revolute, 1.0, np.nan)
     centres = torch.as_tensor(part_boxes.mean(1))
-    places = [_place(pose["T"], centres) for pose in (a, b)]
+    found, true = (_place(pose["T"], centres) for pose in (a, b))
+    partners = [(k, part.mirror) for k, part in enumerate(category.parts) if part.mirror not in (k, None)]
     return PoseErrors(
         joint_state=np.abs(estimate.states - truth.states),
         axis=vector_angle(a["axes"], b["axes"]).numpy(),
         axis_distance=line_distance(a["axes"], a["pivots"], b["axes"], b["pivots"]).numpy() * only,
         pivot_distance=point_to_line(a["pivots"], b["axes"], b["pivots"]).numpy() * only,
         rotation=rotation_angle(a["T"][:, :3, :3], b["T"][:, :3, :3]).numpy(),
-        translation=(places[0] - places[1]).norm(dim=-1).numpy(),
+        translation=(found - true).norm(dim=-1).numpy(),
+        swapped=any(bool((found[k] - true[other]).norm() < (found[k] - true[k]).norm()) for k, other in partners),
     )
 
 
-def missing_errors(num_parts: int, revolute: np.ndarray, unit: float) -> PoseErrors:
+def missing_errors(category: Category) -> PoseErrors:
     """What a missing answer counts as."""
-    angle, joints = np.pi / 2, np.ones(len(revolute))
+    angle, unit = np.pi / 2, category.metres_per_unit
+    revolute, num_parts = np.array(category.revolute), len(category.parts)
     length = np.where(revolute, unit, np.nan)
     return PoseErrors(
         joint_state=np.where(revolute, angle, unit),
-        axis=angle * joints,
+        axis=np.full(len(revolute), angle),
         axis_distance=length,
         pivot_distance=length,
         rotation=np.full(num_parts, angle),
@@ -85,8 +107,12 @@ def missing_errors(num_parts: int, revolute: np.ndarray, unit: float) -> PoseErr
     )
 
 
-def summarise(errors: list[PoseErrors], diagonals: np.ndarray, revolute: np.ndarray) -> dict:
-    """Mean, median and 90th percentile of each error over views; ``diagonals`` (views,) of the objects in metres."""
+def summarise(errors: list[PoseErrors], diagonals: np.ndarray, category: Category) -> dict:
+    """Mean, median and 90th percentile of each error over views, and shares of views.
+
+    ``diagonals`` (views,) of the objects in metres. Flipped: the base is more than 90 degrees off.
+    """
+    revolute = category.revolute
     state = np.stack([e.joint_state for e in errors])
     axis_distance = np.stack([e.axis_distance for e in errors])
     pivot_distance = np.stack([e.pivot_distance for e in errors])
@@ -101,6 +127,8 @@ def summarise(errors: list[PoseErrors], diagonals: np.ndarray, revolute: np.ndar
         "rotation_error_deg": _columns(np.degrees([e.rotation for e in errors])),
         "translation_error": _columns(np.array([e.translation for e in errors])),
         "within_5deg_5percent": float(np.mean(close)),
+        "flipped": float(np.mean([e.flipped for e in errors])),
+        "swapped": float(np.mean([e.swapped for e in errors])),
     }
 
 

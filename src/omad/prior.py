@@ -84,8 +84,7 @@ class OmadPrior(nn.Module):
         self.register_buffer("is_image", torch.tensor(mirror.is_image), persistent=False)
         axes = torch.tensor([joint.axis for joint in category.joints], dtype=torch.float32)
         self.register_buffer("nominal_axes", axes, persistent=False)
-        revolute = torch.tensor([joint.type == "revolute" for joint in category.joints])
-        self.register_buffer("revolute", revolute, persistent=False)
+        self.register_buffer("revolute", torch.tensor(category.revolute), persistent=False)
         self.register_buffer("beta_mean", torch.zeros(self.basis_size))
         self.register_buffer("beta_covariance", torch.eye(self.basis_size))
 

@@ -101,7 +101,6 @@ def prior_losses(
     prior, part_of = net.prior, net.part_of
     keypoints = prior.keypoints(out.beta)
     joints = prior.joints(out.beta)
-    revolute = torch.tensor([j.type == "revolute" for j in net.category.joints], device=points.device)
     parts = torch.arange(len(net.category.parts), device=labels.device)
     low, high = part_extents(points, labels[:, None] == parts[:, None])
     return {
@@ -110,6 +109,6 @@ def prior_losses(
         "coverage": weights.coverage * coverage_loss(out.nodes, part_of, low, high),
         "surface": weights.surface * surface_loss(out.nodes, part_of, points, labels),
         "separation": weights.separation * separation_loss(out.nodes, part_of, low, high, weights.separation_share),
-        "joint": weights.joint * joint_loss(joints.axes, joints.pivots, axes, pivots, revolute),
+        "joint": weights.joint * joint_loss(joints.axes, joints.pivots, axes, pivots, prior.revolute),
         "beta": weights.beta * out.beta.square().mean(),
     }

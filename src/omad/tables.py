@@ -76,7 +76,18 @@ def estimate_table(results: list[dict[str, Any]]) -> str:
 def pose_table(answer: dict[str, Any]) -> str:
     """Errors of ``eval pose``: initial, refined, refined by object; mean, median and 90th percentile."""
     unit = answer["metres_per_unit"]
-    rows = [["", "joint state", "axis angle", "axis distance (units)", "base rotation", "within 5° 5 %"]]
+    rows = [
+        [
+            "",
+            "joint state",
+            "axis angle",
+            "axis distance (units)",
+            "base rotation",
+            "within 5° 5 %",
+            "flipped",
+            "swapped",
+        ]
+    ]
 
     def add(label: str, errors: dict[str, Any]) -> None:
         states = [
@@ -90,7 +101,7 @@ def pose_table(answer: dict[str, Any]) -> str:
                 ", ".join(_spread(e, 1, "°") for e in errors["axis_error_deg"]),
                 ", ".join("-" if e is None else _spread(e, 1 / unit, "") for e in errors["axis_distance"]),
                 _spread(errors["rotation_error_deg"][0], 1, "°"),
-                f"{errors['within_5deg_5percent']:.0%}",
+                *(f"{errors[share]:.1%}" for share in ("within_5deg_5percent", "flipped", "swapped")),
             ]
         )
 
