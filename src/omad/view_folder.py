@@ -17,7 +17,7 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import torch
@@ -147,18 +147,39 @@ def render_to_folder(
         "objects": names,
     }
     _check_same(path, record, models)
-    _write_json(path / "dataset.json", {**record, "views": views, "finished": False})
+    write_json(path / "dataset.json", {**record, "views": views, "finished": False})
     for model in models:
-        _write_json(path / model.name / "object.json", _truth_record(ObjectTruth.of(model)))
+        write_json(path / model.name / "object.json", _truth_record(ObjectTruth.of(model)))
 
-    seeds = [view_seed(index, len(models), seed) for index in range(views)]
-    missing = [s for s in seeds if not _view_path(path, names[s[1]], s).exists()]
-    job = _Job(path, tuple(models), category, noise, scale)
+    draw_missing(_Job(path, tuple(models), category, noise, scale), views, seed, processes, progress)
+    write_json(path / "dataset.json", {**record, "views": views, "finished": True})
+    return open_views(path)
+
+
+class ViewJob(Protocol):
+    """Draws views and writes their files; sent to every process that helps."""
+
+    @property
+    def models(self) -> tuple[ObjectModel, ...]:
+        """Of which views are drawn."""
+        ...
+
+    def marker(self, seed: tuple[int, int, int]) -> Path:
+        """The file of a view that is written last: where it exists, the view is whole."""
+        ...
+
+    def write(self, seed: tuple[int, int, int]) -> None:
+        """Draw one view and write its files."""
+        ...
+
+
+def draw_missing(job: ViewJob, views: int, seed: int, processes: int = 1, progress: bool = False) -> None:
+    """Write those of ``views`` views, dealt out to the job's models in turn, that are not there yet."""
+    seeds = [view_seed(index, len(job.models), seed) for index in range(views)]
+    missing = [drawn for drawn in seeds if not job.marker(drawn).exists()]
     with tqdm(total=views, initial=views - len(missing), desc="views", disable=not progress) as bar:
         for _ in _run(job, missing, processes):
             bar.update()
-    _write_json(path / "dataset.json", {**record, "views": views, "finished": True})
-    return open_views(path)
 
 
 @dataclass(frozen=True)
@@ -169,25 +190,28 @@ class _Job:
     noise: NoiseLevel | None
     depth_scale: float
 
+    def marker(self, seed: tuple[int, int, int]) -> Path:
+        return self.path / self.models[seed[1]].name / f"{seed[2]:05d}.json"
+
     def write(self, seed: tuple[int, int, int]) -> None:
         """Draw one view and write its three files, the JSON last."""
         model = self.models[seed[1]]
         view = standard_view(model, self.category, seed, self.noise)
-        target = _view_path(self.path, model.name, seed)
+        target = self.marker(seed)
         stored = np.rint(view.depth / self.depth_scale)
         stored = np.where(stored < 2**16, stored, 0).astype(np.uint16)
-        _write_png(target.with_suffix(".depth.png"), stored)
-        _write_png(target.with_suffix(".labels.png"), view.labels)
-        _write_json(
+        write_png(target.with_suffix(".depth.png"), stored)
+        write_png(target.with_suffix(".labels.png"), view.labels)
+        write_json(
             target, {"states": view.states.tolist(), "T_camera_base": view.T_camera_base.tolist(), "seed": view.seed}
         )
 
 
-_job: _Job | None = None
+_job: ViewJob | None = None
 """In a worker process, what it works on: sent once, not with every view."""
 
 
-def _start_worker(job: _Job) -> None:
+def _start_worker(job: ViewJob) -> None:
     global _job
     _job = job
     torch.set_num_threads(1)
@@ -198,7 +222,7 @@ def _work(seed: tuple[int, int, int]) -> None:
     _job.write(seed)
 
 
-def _run(job: _Job, seeds: list[tuple[int, int, int]], processes: int) -> Iterator[None]:
+def _run(job: ViewJob, seeds: list[tuple[int, int, int]], processes: int) -> Iterator[None]:
     if processes <= 1 or len(seeds) < 2:
         yield from map(job.write, seeds)
         return
@@ -230,10 +254,6 @@ def _check_same(path: Path, record: dict[str, Any], models: Sequence[ObjectModel
             raise InputError(f"{path}: already holds another object {model.name}; choose another folder or delete it")
 
 
-def _view_path(path: Path, name: str, seed: tuple[int, int, int]) -> Path:
-    return path / name / f"{seed[2]:05d}.json"
-
-
 def _truth_record(truth: ObjectTruth) -> dict[str, Any]:
     return {key: value.tolist() if isinstance(value, np.ndarray) else value for key, value in vars(truth).items()}
 
@@ -254,9 +274,11 @@ def _read_json(path: Path, *keys: str) -> dict[str, Any]:
     return record
 
 
-def _write_json(path: Path, record: dict[str, Any]) -> None:
+def write_json(path: Path, record: dict[str, Any]) -> None:
+    """On one line, whole or not at all."""
     write_atomic(path, lambda temporary: temporary.write_text(json.dumps(record) + "\n"))
 
 
-def _write_png(path: Path, image: np.ndarray) -> None:
+def write_png(path: Path, image: np.ndarray) -> None:
+    """8 or 16 bit, whole or not at all."""
     write_atomic(path, lambda temporary: Image.fromarray(image).save(temporary, "PNG", compress_level=1))
