@@ -1,4 +1,4 @@
-"""Random chests of three drawers: with and without legs, overhanging tops, inset or overlaid fronts, many pulls."""
+"""Random chests of three drawers: with and without legs, overhanging tops, inset or overlaid fronts, trays, pulls."""
 
 from __future__ import annotations
 
@@ -25,11 +25,13 @@ def drawer(rng: np.random.Generator, name: str) -> ObjectModel:
     edges = high - (high - low) * np.concatenate([[0.0], np.cumsum(shares / shares.sum())])
     cabinet = _cabinet(rng, width, height, depth, wall, base, edges)
     pull = _Pull.draw(rng)
+    fill = rng.uniform(0.4, 0.9) if rng.random() < 0.2 else 1.0  # trays leave their bays open above
     drawers = []
     for top, bottom in zip(edges[:-1], edges[1:], strict=True):
         gap = rng.uniform(0.001, 0.004)
         half = width / 2 - wall - gap if inset else width / 2 - rng.uniform(0.0, 0.004)
         spill = -gap if inset else wall * 0.45 - gap
+        top = bottom + fill * (top - bottom)
         face_low, face_high = bottom - spill, top + spill
         solids = [slab((-half, face_low, front - thickness), (half, face_high, front), 2, 0.002, pull.bevel)]
         solids += _open_box(rng, width / 2 - wall - 0.012, bottom, top, depth, wall, front - thickness)
