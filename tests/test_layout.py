@@ -39,6 +39,7 @@ ORDER = [
     "sources.artimage.objects",
     "sources.artimage.images",
     "sources.artimage",
+    "sources.artimage.writer",
     "sources.select",
     "views",
     "losses",

@@ -36,6 +36,7 @@ from .observation import Observation
 from .options import CategoryName, Device, Json, Result, Seed, Weights, check_category, check_positive
 from .report import describe, figure, save
 from .runtime import pick_device
+from .sources.artimage import write_artimage
 from .sources.procedural import generate
 from .sources.select import load_models
 from .urdf import write_urdf
@@ -213,7 +214,9 @@ class Render:
     objects: int = 20
     """Procedural objects."""
     split: Literal["train", "test"] = "test"
-    """Of the procedural objects."""
+    """Of the procedural objects; layout artimage: of all whose name is no number, as those are split by it."""
+    layout: Literal["omad", "artimage"] = "omad"
+    """artimage: as the ArtImage data set is laid out; another run adds another split or category to the same folder."""
     views: int = 200
     """In total, dealt out to the objects."""
     seed: Seed = 0
@@ -227,17 +230,12 @@ class Render:
         check_positive(objects=self.objects, views=self.views, processes=self.processes)
         category = get_category(self.category)
         source = load_models(self.source, category, self.objects, self.split, self.seed)
-        folder = render_to_folder(
-            source.models,
-            category,
-            self.output,
-            self.views,
-            self.seed,
-            LEVELS[self.noise],
-            self.processes,
-            progress=True,
-        )
-        return 0, {"folder": str(folder.path), "views": len(folder), "refused": source.refused}
+        noise, drawn = LEVELS[self.noise], (source.models, category, self.output, self.views)
+        if self.layout == "artimage":
+            write_artimage(*drawn, self.split, self.seed, noise, self.processes, progress=True)
+        else:
+            render_to_folder(*drawn, self.seed, noise, self.processes, progress=True)
+        return 0, {"folder": str(self.output), "views": self.views, "refused": source.refused}
 
 
 @dataclass(frozen=True)

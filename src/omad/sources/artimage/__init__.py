@@ -2,5 +2,6 @@
 
 from .images import ArtImage, Broken, open_artimage
 from .layout import is_artimage
+from .writer import write_artimage
 
-__all__ = ["ArtImage", "Broken", "is_artimage", "open_artimage"]
+__all__ = ["ArtImage", "Broken", "is_artimage", "open_artimage", "write_artimage"]
