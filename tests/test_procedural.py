@@ -141,7 +141,8 @@ def test_objects_obey_their_spec_in_canonical_space(category, objects):
                 assert tuple(limits) == joint.limits
             else:
                 assert 0 <= limits[0] < limits[1] <= joint.limits[1] * category.metres_per_unit
-        np.testing.assert_array_equal(model.axes, [joint.axis for joint in category.joints])
+        cosine = (model.axes * [joint.axis for joint in category.joints]).sum(1)
+        assert cosine.min() > np.cos(np.radians(8))  # a temple's hinge may lean
         boxes = model.part_boxes()
         np.testing.assert_allclose(boxes[:, 0].min(0), -boxes[:, 1].max(0), atol=1e-12)
         assert 0.6 < model.diagonal / 2 / category.metres_per_unit < 1.6  # a bounding sphere of about one unit

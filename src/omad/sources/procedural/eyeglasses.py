@@ -11,7 +11,7 @@ from ...geometry import MIRROR_X
 from ...objects import Mesh, ObjectModel
 from .shapes import box, ellipse, loft, merge, rounded_rectangle, spline, sweep, warp
 
-LENS = 40
+LENS = 26
 """Points of a lens's outline."""
 
 
@@ -55,7 +55,6 @@ def eyeglasses(rng: np.random.Generator, name: str) -> ObjectModel:
     lean = rng.normal(0.0, 0.02, 2) * (rng.random() < 0.5)
     axis = np.array([lean[0], 1.0, lean[1]]) / np.linalg.norm([lean[0], 1.0, lean[1]])
     pivot = hinge + [rng.uniform(-0.6, 0.6) * thick, 0.0, 0.0]
-    limit = np.radians(rng.uniform(72.0, 90.0))
     return ObjectModel(
         name=name,
         category=EYEGLASSES.name,
@@ -65,7 +64,7 @@ def eyeglasses(rng: np.random.Generator, name: str) -> ObjectModel:
         tree=EYEGLASSES.tree,
         axes=np.stack([axis, axis * MIRROR_X]),
         pivots=np.stack([pivot, pivot * MIRROR_X]),
-        limits=np.array([[0.0, limit], [-limit, 0.0]]),
+        limits=np.array([joint.limits for joint in EYEGLASSES.joints]),
     ).centred()
 
 
@@ -120,7 +119,7 @@ def _front_solids(rng: np.random.Generator, front: _Front) -> list[Mesh]:
         solids.append(_lens(front.outline, glass, bulge))
     loop = np.pad(front.outline, ((0, 0), (0, 1)))
     forward = np.array([0.0, 0.0, 1.0])
-    section = rounded_rectangle(*front.rim, 0.45 * min(front.rim), 2)
+    section = rounded_rectangle(*front.rim, 0.45 * min(front.rim), 1)
     if not rimless and kind < 0.42:  # a half rim: along the brow, some way down the sides
         reach = int(LENS * rng.uniform(0.02, 0.12))
         arc = np.arange(-reach, LENS // 2 + reach + 1) % LENS
@@ -136,7 +135,7 @@ def _lens(outline: np.ndarray, thickness: float, bulge: float) -> Mesh:
     """A slab with two faces that bulge forward."""
     centre = outline.mean(0)
     rings = []
-    for depth, shares in ((-thickness / 2, (0.05, 0.4, 0.75)), (thickness / 2, (1.0, 0.75, 0.4, 0.05))):
+    for depth, shares in ((-thickness / 2, (0.05, 0.6)), (thickness / 2, (1.0, 0.6, 0.05))):
         for share in (*shares, 1.0) if depth < 0 else shares:
             ring = centre + share * (outline - centre)
             rings.append(np.column_stack([ring, np.full(len(ring), depth + bulge * (1 - share**2))]))
@@ -154,7 +153,7 @@ def _bridge(rng: np.random.Generator, front: _Front, width: float) -> list[Mesh]
         rise = rng.uniform(0.0, 0.004)
         path = np.array([[0.0, y + rise, 0.0], [0.5 * x, y + 0.8 * rise, 0.0], [x + 0.0005, y, 0.0]])
         tall = width * rng.uniform(0.8, 2.5)
-        bars.append(sweep(path, np.array([0.0, 0.0, 1.0]), rounded_rectangle(tall, front.rim[1], 0.001, 2)))
+        bars.append(sweep(path, np.array([0.0, 0.0, 1.0]), rounded_rectangle(tall, front.rim[1], 0.001, 1)))
     return bars
 
 
@@ -180,7 +179,7 @@ def _shield(rng: np.random.Generator, front: _Front) -> list[Mesh]:
     solids = [loft(rings)]
     if rng.random() < 0.5:
         bar = np.stack([x, top, 0 * x], 1)
-        solids.append(sweep(bar, np.array([0.0, 0.0, 1.0]), rounded_rectangle(*np.array(front.rim) * 1.3, 0.001, 2)))
+        solids.append(sweep(bar, np.array([0.0, 0.0, 1.0]), rounded_rectangle(*np.array(front.rim) * 1.3, 0.001, 1)))
     return solids
 
 
@@ -188,7 +187,7 @@ def _end_piece(rng, start: np.ndarray, corner: np.ndarray, hinge: np.ndarray, th
     """From the rim's outer edge around the corner to the hinge."""
     tall = rng.uniform(0.003, 0.009)
     path = spline([start, corner - [0.5 * thick, 0, 0.0], 0.5 * (corner + hinge), hinge], 8)
-    return [sweep(path, np.array([0.0, 1.0, 0.0]), rounded_rectangle(max(thick, 0.002), tall, 0.0008, 2))]
+    return [sweep(path, np.array([0.0, 1.0, 0.0]), rounded_rectangle(max(thick, 0.002), tall, 0.0008, 1))]
 
 
 def _nose_pads(rng: np.random.Generator, place: np.ndarray) -> list[Mesh]:
@@ -225,6 +224,6 @@ def _temple(rng: np.random.Generator, hinge: np.ndarray, half: float) -> tuple[M
     end = max(middle * rng.uniform(0.7, 1.6), 0.002)
     tall = np.interp(s, [0, rng.uniform(0.3, 0.6), 0.85, 1], [root, middle, end, 0.75 * end])
     wide = thick * np.interp(s, [0, 0.3, 1], [1.0, 1.0, rng.uniform(0.6, 1.4)])
-    outline = rounded_rectangle(1.0, 1.0, rng.uniform(0.15, 0.45), 2)
+    outline = rounded_rectangle(1.0, 1.0, rng.uniform(0.15, 0.45), 1)
     sections = outline * np.stack([tall, wide], 1)[:, None]
     return sweep(path, np.array([1.0, 0.0, 0.0]), sections), thick

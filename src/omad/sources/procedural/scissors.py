@@ -8,7 +8,7 @@ import numpy as np
 
 from ...categories import SCISSORS
 from ...objects import Mesh, ObjectModel
-from .shapes import cylinder, loft, merge, rounded_rectangle, spline, sweep
+from .shapes import cylinder, loft, merge, rounded_rectangle, spline, sweep, warp
 
 
 @dataclass(frozen=True)
@@ -64,16 +64,18 @@ def scissors(rng: np.random.Generator, name: str) -> ObjectModel:
     reach = abs(level) + 0.5 * max(first.thickness, second.thickness) + rng.uniform(0.0002, 0.0025)
     if rng.random() < 0.85:
         (base if rng.random() < 0.5 else child).append(cylinder((0, -reach, 0), (0, reach, 0), radius, 14))
+    parts = merge(base), merge(child)
+    scale = rng.uniform(0.135, 0.25) / np.ptp(np.concatenate([part.vertices[:, 2] for part in parts]))
     return ObjectModel(
         name=name,
         category=SCISSORS.name,
         part_names=tuple(part.name for part in SCISSORS.parts),
-        parts=(merge(base), merge(child)),
+        parts=tuple(warp(part, lambda v: scale * v) for part in parts),
         joint_names=tuple(joint.name for joint in SCISSORS.joints),
         tree=SCISSORS.tree,
         axes=np.array([[0.0, 1.0, 0.0]]),
         pivots=np.zeros((1, 3)),
-        limits=np.radians([[-rng.uniform(32.0, 70.0), 0.0]]),
+        limits=np.array([joint.limits for joint in SCISSORS.joints]),
     ).centred()
 
 
