@@ -12,13 +12,13 @@ from pathlib import Path
 
 import numpy as np
 
-from omad.categories import get_category
 from omad.checkpoint import shipped_categories
 from omad.depth_noise import LEVELS
 from omad.evaluation import true_pose
 from omad.files import write_atomic
 from omad.observation import Observation
 from omad.sources.procedural import generate
+from omad.spec_file import get_category
 from omad.standard_views import standard_view
 
 POINTS, VIEWS, SEED, STEP = 1200, 24, 11, 2e-4

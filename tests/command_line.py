@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from omad.categories import get_category
 from omad.cli import run
 from omad.sources.procedural import generate
+from omad.spec_file import get_category
 from omad.standard_views import View, standard_view
 
 K = ["--intrinsics", "600,600,319.5,239.5"]

@@ -10,10 +10,10 @@ import pytest
 from PIL import Image
 
 from command_line import LAPTOP, K, answer, cloud, laptop_view, refused, save_png
-from omad.categories import get_category
 from omad.checkpoint import find_weights
 from omad.cli import run
 from omad.sources.procedural import generate
+from omad.spec_file import get_category
 from omad.urdf import write_urdf
 
 SHIPPED = str(find_weights("laptop"))

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from omad.categories import get_category
 from omad.cli import run
 from omad.sources.procedural import generate
+from omad.spec_file import get_category
 from omad.standard_views import View, standard_view
 from omad.urdf import write_urdf
 

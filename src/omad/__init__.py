@@ -19,18 +19,18 @@ _HOMES = {
     "InputError": "errors",
     "Known": "known",
     "Observation": "observation",
-    "get_category": "categories",
+    "get_category": "spec_file",
     "show": "report",
 }
 
 if TYPE_CHECKING:
-    from .categories import get_category
     from .errors import InputError
     from .estimate import Estimate
     from .estimator import Estimator, EstimatorConfig
     from .known import Known
     from .observation import Observation
     from .report import show
+    from .spec_file import get_category
 
 
 def __getattr__(name: str) -> Any:

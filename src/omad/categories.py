@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from .errors import InputError
 from .kinematics import JointType, KinematicTree
 
 
@@ -211,10 +210,3 @@ SCISSORS = Category(
 )
 
 CATEGORIES = {category.name: category for category in (LAPTOP, EYEGLASSES, DISHWASHER, SCISSORS, DRAWER)}
-
-
-def get_category(name: str) -> Category:
-    """The built-in spec called ``name``. Raises InputError naming the known ones."""
-    if name not in CATEGORIES:
-        raise InputError(f"unknown category {name!r}: known ones are {', '.join(sorted(CATEGORIES))}")
-    return CATEGORIES[name]

@@ -16,7 +16,7 @@ import torch
 import tyro
 
 from . import __version__
-from .categories import CATEGORIES, get_category
+from .categories import CATEGORIES
 from .checkpoint import find_weights, load_net, save_net, shipped_categories
 from .demo import run_demo
 from .depth_noise import LEVELS
@@ -39,6 +39,7 @@ from .runtime import pick_device
 from .sources.artimage import write_artimage
 from .sources.procedural import generate
 from .sources.select import load_models
+from .spec_file import get_category
 from .urdf import write_urdf
 from .view_folder import render_to_folder
 

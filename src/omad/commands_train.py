@@ -9,7 +9,7 @@ from typing import Any, Literal
 import torch
 
 from . import __version__
-from .categories import Category, get_category
+from .categories import Category
 from .checkpoint import find_weights, load_net, load_priornet, save_net, save_priornet, shipped_categories
 from .errors import InputError
 from .objects import SampledObject
@@ -19,6 +19,7 @@ from .pointnet2 import PAPER_SIZE, SLIM, BackboneConfig
 from .priornet import PriorNet
 from .runtime import keep_freed_memory, pick_device
 from .sources.select import load_training_objects
+from .spec_file import get_category
 from .train_net import NetTraining, train_net
 from .train_prior import PriorTraining, train_prior
 from .training import Schedule
