@@ -108,7 +108,7 @@ def open_artimage(root: Path | str, category: Category, split: Split, broken: Br
     the camera or the rest states are missing, or nothing is left.
     """
     layout = Layout(Path(root), category.name)
-    if Layout(layout.root.parent, layout.root.name).images.joinpath("annotations").is_dir():
+    if Layout(layout.root.parent, layout.root.name).annotation("").is_dir():
         raise InputError(f"{root}: is the folder of one category; give the one above it")
     if not layout.folder.is_dir():
         raise InputError(f"{root}: no folder {category.name} in it; give an ArtImage root that has this category")

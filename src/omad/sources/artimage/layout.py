@@ -96,9 +96,11 @@ class Layout:
 
 
 def is_artimage(root: Path | str) -> bool:
-    """Whether a folder looks like an ArtImage root, whole or not."""
+    """Whether a folder looks like an ArtImage root, whole or not, or like one category of it."""
     root = Path(root)
-    return Layout(root, "").camera.is_file() or any(root.glob("*/train/annotations"))
+    one = Layout(root.parent, root.name)
+    signs = [Layout(root, "").camera, one.annotation(""), *root.glob("*/train/annotations")]
+    return any(path.exists() for path in signs)
 
 
 def read_json(path: Path) -> Any:
