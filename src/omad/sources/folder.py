@@ -9,11 +9,9 @@ from ..alignment import align
 from ..categories import Category
 from ..errors import InputError
 from ..objects import ObjectModel
-from ..urdf import MissingMeshes, RawArticulation, read_articulation
+from ..urdf import MissingMeshes, read_articulation
+from . import partnet
 from .links import label_parts
-
-_PARTNET_URDF = "mobility.urdf"
-_PARTNET_NAMES = "semantics.txt"
 
 
 @dataclass(frozen=True)
@@ -65,12 +63,14 @@ def import_model(
     """
     path = Path(path)
     file = _urdf_of(path) if path.is_dir() else path
-    names = file.parent / _PARTNET_NAMES
+    normalised = partnet.is_partnet(file)
     if scale is None:
-        scale = category.metres_per_unit if names.is_file() or file.name == _PARTNET_URDF else 1.0
+        scale = category.metres_per_unit if normalised else 1.0
+    if normalised:
+        partnet.check_source_name(file.parent, category)
     raw = read_articulation(file, scale, missing_meshes)
-    if names.is_file():
-        raw = _with_semantics(raw, names)
+    if normalised:
+        raw = partnet.with_stated_axes(partnet.with_names(raw, file.parent), file.parent, scale)
     try:
         model = align(label_parts(raw, category), category)
     except InputError as error:
@@ -79,15 +79,15 @@ def import_model(
 
 
 def _objects_in(folder: Path) -> list[Path]:
-    if folder.is_file() or (folder / _PARTNET_URDF).is_file():
+    if folder.is_file() or (folder / partnet.URDF).is_file():
         return [folder]
     files = sorted(folder.glob("*.urdf"))
     return files or sorted(sub for sub in folder.iterdir() if sub.is_dir() and not sub.name.startswith("."))
 
 
 def _urdf_of(folder: Path) -> Path:
-    if (folder / _PARTNET_URDF).is_file():
-        return folder / _PARTNET_URDF
+    if (folder / partnet.URDF).is_file():
+        return folder / partnet.URDF
     files = sorted(folder.glob("*.urdf"))
     if len(files) != 1:
         found = f"{len(files)} .urdf files" if files else "no .urdf file"
@@ -97,17 +97,6 @@ def _urdf_of(folder: Path) -> Path:
 
 def _name(path: Path) -> str:
     """An object is called like its folder, a lone file like itself."""
-    if path.name == _PARTNET_URDF:
+    if path.name == partnet.URDF:
         path = path.resolve().parent
     return path.stem if path.suffix == ".urdf" else path.resolve().name
-
-
-def _with_semantics(raw: RawArticulation, file: Path) -> RawArticulation:
-    """Add the names of semantics.txt, whose lines are: link, kind of joint, name."""
-    lines = [line.split() for line in file.read_text(encoding="utf-8", errors="replace").splitlines()]
-    names = {fields[0]: fields[-1] for fields in lines if len(fields) >= 3}
-    links = [
-        replace(link, names=link.names + tuple(names[name] for name in link.names if name in names))
-        for link in raw.links
-    ]
-    return replace(raw, links=tuple(links))
