@@ -25,6 +25,8 @@ ORDER = [
     "segmentation",
     "observation",
     "viewpoints",
+    "directions",
+    "rest_states",
     "alignment",
     "sources.links",
     "sources.partnet",

@@ -7,19 +7,20 @@ the child reaches from its joint, on which side of its parent it lies, which way
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from .categories import Category, JointSpec
+from .directions import face_directions, tip_direction
 from .errors import InputError
 from .objects import Mesh, ObjectModel
+from .rest_states import REST_RULES, rest_state
 from .urdf import RawArticulation
 
-NEAR_LIMIT = math.radians(10)
-"""A closed state this near to a stated limit is that limit: limits are exact, faces may slope."""
+EXACT = 1e-6
+"""Share of the object's diagonal by which a canonical object may miss its place, and radians of its limits."""
 LEAST_AGREEMENT = 0.3
 """Cosine below which a child does not lie where the spec says: the object is of another kind."""
 LEAST_TRAVEL = 0.1
@@ -35,14 +36,48 @@ def align(labellings: Sequence[RawArticulation], category: Category) -> ObjectMo
 
     Each labelling has the category's parts as its links and the category's joints as its joints, in order;
     the one that fits the spec best is taken. Raises InputError, without a file's name, where none is shaped
-    or jointed like the category's.
+    or jointed like the category's. What is canonical already, as our own files are, stays as it stands.
     """
+    for joint, rule in zip(category.joints, category.rest, strict=True):
+        if (joint.type, rule) not in REST_RULES:
+            raise InputError(
+                f"category {category.name}: joint {joint.name!r} is {joint.type} and cannot rest {rule!r};"
+                " change its spec"
+            )
+    for raw in labellings:
+        if _is_canonical(raw, category):
+            return _finished(_as_model(raw, category), category)
     best = max(
         (candidate for raw in labellings for candidate in _candidates(raw, category)),
         key=lambda candidate: candidate.score,
     ).model
     _check(best, category)
-    return _settled(_limited(best, category).centred())
+    return _finished(best, category)
+
+
+def _is_canonical(raw: RawArticulation, category: Category) -> bool:
+    """Whether links are called like the parts, box and axes are in place, and limits are within the spec's."""
+    if [link.name for link in raw.links] != [part.name for part in category.parts]:
+        return False
+    model, spec = _as_model(raw, category), _spec_limits(category)
+    boxes = model.part_boxes()
+    off = np.abs(boxes[:, 0].min(0) + boxes[:, 1].max(0)).max() / 2
+    outside = np.maximum(spec[:, 0] - model.limits[:, 0], model.limits[:, 1] - spec[:, 1]).max()
+    along = [
+        axis @ joint.axis / np.linalg.norm(joint.axis) for axis, joint in zip(model.axes, category.joints, strict=True)
+    ]
+    # a limit that is not stated is NaN, which is not within anything
+    return bool(
+        off < EXACT * model.diagonal
+        and outside < EXACT
+        and min(along) > 0.9
+        and _agreement(model, category).min() > LEAST_AGREEMENT
+        and _travel(model, category).min() > LEAST_TRAVEL
+    )
+
+
+def _finished(model: ObjectModel, category: Category) -> ObjectModel:
+    return _settled(_limited(model, category).centred())
 
 
 @dataclass(frozen=True)
@@ -56,14 +91,17 @@ def _candidates(raw: RawArticulation, category: Category) -> Iterator[_Candidate
     """The object at rest in every frame that might be canonical."""
     model = _as_model(raw, category)
     rest = [
-        _rest_state(category, joint, model.parts[spec.parent], model.parts[joint + 1], model)
-        for joint, spec in enumerate(category.joints)
-    ]
+        rest_state(
+            (spec.type, rule), model.parts[spec.parent], model.parts[joint + 1],
+            model.axes[joint], model.pivots[joint], model.limits[joint],
+        )
+        for joint, (spec, rule) in enumerate(zip(category.joints, category.rest, strict=True))
+    ]  # fmt: skip
     at_rest = _zero_at(model, np.array(rest))
     for R in _frames(at_rest, category):
         turned = _signed(_turned(at_rest, R), category)
-        # most sources have z up: that decides where geometry does not
-        up = 0.05 * R[1, 2]
+        # most sources have z up, others y: that decides where geometry does not
+        up = 0.05 * R[1, 2] + 0.02 * R[1, 1]
         yield _Candidate(turned, float(_agreement(turned, category).mean() + _travel(turned, category).mean() + up))
 
 
@@ -114,187 +152,7 @@ def _signed(model: ObjectModel, category: Category) -> ObjectModel:
     )
 
 
-# Rest states ---------------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class _CrossSection:
-    """A parent and its child seen along a revolute axis: 2-D points about the pivot, along the parent's faces."""
-
-    parent: np.ndarray
-    """(V, 2)."""
-    child: np.ndarray
-    """(W, 2) at state 0."""
-    aligned: np.ndarray
-    """(4,) states at which the child's faces are parallel to the parent's, radians."""
-
-    def child_at(self, state: float) -> np.ndarray:
-        cos, sin = math.cos(state), math.sin(state)
-        return self.child @ np.array([[cos, sin], [-sin, cos]])
-
-    def box_area(self, state: float) -> float:
-        """Area of the box of both."""
-        low, high = self._corners(state)
-        return float(np.prod(high.max(0) - low.min(0)))
-
-    def overlap(self, state: float) -> float:
-        """Area in which their boxes overlap."""
-        low, high = self._corners(state)
-        return float(np.prod(np.clip(high.min(0) - low.max(0), 0, None)))
-
-    def _corners(self, state: float) -> np.ndarray:
-        """(2, 2, 2) low and high corners of the parent's and of the child's box."""
-        return np.stack([_box(self.parent), _box(self.child_at(state))], 1)
-
-
-def _rest_state(category: Category, joint: int, parent: Mesh, child: Mesh, model: ObjectModel) -> float:
-    kind, rule = model.tree.types[joint], category.rest[joint]
-    if (kind, rule) not in _REST_RULES:
-        raise InputError(f"category {category.name}: joint {joint} is {kind} and cannot rest {rule!r}; change its spec")
-    axis, pivot, limits = model.axes[joint], model.pivots[joint], model.limits[joint]
-    return _REST_RULES[kind, rule](parent, child, axis, pivot, limits)
-
-
-def _closed_revolute(parent: Mesh, child: Mesh, axis: np.ndarray, pivot: np.ndarray, limits: np.ndarray) -> float:
-    """Faces parallel, whole box smallest, within reach of the joint; a limit near by is taken as it stands."""
-    section = _cross_section(parent, child, axis, pivot)
-    states = [_wrapped(state, limits) for state in section.aligned]
-    reachable = [state for state in states if _excess(state, limits) < 1.5 * NEAR_LIMIT]
-    # a door folded into a hollow body would make an even smaller box, but for the overlap
-    closed = min(reachable or states, key=lambda state: section.box_area(state) + 2 * section.overlap(state))
-    return _snapped(closed, limits)
-
-
-def _perpendicular(parent: Mesh, child: Mesh, axis: np.ndarray, pivot: np.ndarray, limits: np.ndarray) -> float:
-    """A quarter turn from where the child lies flat on its parent, away from it."""
-    section = _cross_section(parent, child, axis, pivot)
-    closed = min(section.aligned, key=section.box_area)
-    lying = section.child_at(closed)
-    reach = _box(lying).mean(0)
-    offset = reach - _box(section.parent).mean(0)
-    away = np.array([-reach[1], reach[0]])  # where a positive quarter turn takes the child
-    face = int(np.abs(away).argmax())
-    outward = 1.0 if away[face] * offset[face] > 0 else -1.0
-    options = [_wrapped(closed + sign * outward * math.pi / 2, limits) for sign in (1, -1)]
-    return min(options, key=lambda state: _excess(state, limits) > NEAR_LIMIT)  # the first unless out of reach
-
-
-def _closed_prismatic(parent: Mesh, child: Mesh, axis: np.ndarray, pivot: np.ndarray, limits: np.ndarray) -> float:
-    """The limit, or the zero state between them, at which the whole is shortest; zero where it hardly matters."""
-    if np.isnan(limits).any():
-        return 0.0
-    fixed, sliding = parent.vertices @ axis, child.vertices @ axis
-
-    def length(state: float) -> float:
-        return max(fixed.max(), sliding.max() + state) - min(fixed.min(), sliding.min() + state)
-
-    states = [0.0] if limits[0] <= 0 <= limits[1] else []
-    states += [float(limit) for limit in limits]
-    shortest = min(map(length, states))
-    return next(state for state in states if length(state) <= 1.02 * shortest)
-
-
-def _tips_together(parent: Mesh, child: Mesh, axis: np.ndarray, pivot: np.ndarray, limits: np.ndarray) -> float:
-    """Both parts point the same way; a limit near by is taken as it stands."""
-    tip, moving = tip_direction(parent, axis, pivot), tip_direction(child, axis, pivot)
-    state = math.atan2(np.cross(moving, tip) @ axis, moving @ tip)
-    return _snapped(_wrapped(state, limits), limits)
-
-
-_REST_RULES: dict[tuple[str, str], Callable[..., float]] = {
-    ("revolute", "closed"): _closed_revolute,
-    ("revolute", "perpendicular"): _perpendicular,
-    ("revolute", "tips together"): _tips_together,
-    ("prismatic", "closed"): _closed_prismatic,
-}
-
-
-def _cross_section(parent: Mesh, child: Mesh, axis: np.ndarray, pivot: np.ndarray) -> _CrossSection:
-    along, across = face_directions(parent, axis)
-    child_along, _ = face_directions(child, axis)
-    turn = math.atan2(child_along @ across, child_along @ along)
-    plane = np.stack([along, across], 1)
-    return _CrossSection(
-        parent=(parent.vertices - pivot) @ plane,
-        child=(child.vertices - pivot) @ plane,
-        aligned=-turn + np.arange(4) * math.pi / 2,
-    )
-
-
-def _snapped(state: float, limits: np.ndarray) -> float:
-    stated = [limit for limit in limits if abs(limit - state) < NEAR_LIMIT]
-    return float(min(stated, key=lambda limit: abs(limit - state))) if stated else state
-
-
-def _wrapped(state: float, limits: np.ndarray) -> float:
-    """The same angle within half a turn of the middle of the limits."""
-    middle = 0.0 if np.isnan(limits).any() else limits.mean()
-    return float(middle + (state - middle + math.pi) % (2 * math.pi) - math.pi)
-
-
-def _excess(state: float, limits: np.ndarray) -> float:
-    """How far ``state`` is outside of the limits."""
-    return 0.0 if np.isnan(limits).any() else float(max(limits[0] - state, state - limits[1], 0.0))
-
-
-def _box(points: np.ndarray) -> np.ndarray:
-    """(2, D) low and high corner."""
-    return np.stack([points.min(0), points.max(0)])
-
-
 # Frames --------------------------------------------------------------------------------------------------------------
-
-
-def face_directions(mesh: Mesh, axis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The two directions across ``axis`` that most of the surface faces or is parallel to, right-handed with it.
-
-    Angles of face normals are taken modulo a quarter turn and the peak of their distribution by area is kept,
-    so that hollow bodies, handles, rounded corners and noise do not tilt it.
-    """
-    first = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
-    first /= np.linalg.norm(first)
-    second = np.cross(axis, first)
-    corners = mesh.vertices[mesh.faces]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    area = np.linalg.norm(normals, axis=1)
-    x, y = normals @ first, normals @ second
-    facing = np.hypot(x, y) > 0.9 * area
-    quarter = math.pi / 2
-    angle, weight = np.arctan2(y[facing], x[facing]) % quarter, area[facing]
-
-    bins = 360
-    histogram = np.bincount((angle / quarter * bins).astype(int) % bins, weight, bins)
-    kernel = np.exp(-0.5 * (np.minimum(np.arange(bins), bins - np.arange(bins)) / 8) ** 2)  # sigma 2 degrees
-    smooth = np.fft.irfft(np.fft.rfft(histogram) * np.fft.rfft(kernel), bins)
-    peak = (smooth.argmax() + 0.5) * quarter / bins
-    for _ in range(10):
-        offset = (angle - peak + quarter / 2) % quarter - quarter / 2
-        share = weight * (np.abs(offset) < math.radians(5))
-        peak += float((share * offset).sum() / max(share.sum(), 1e-30))
-    along = math.cos(peak) * first + math.sin(peak) * second
-    return along, np.cross(axis, along)
-
-
-def tip_direction(mesh: Mesh, axis: np.ndarray, pivot: np.ndarray) -> np.ndarray:
-    """Unit vector across ``axis`` from ``pivot`` to the tip of a long part that crosses there: its slimmer end."""
-    first = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
-    first /= np.linalg.norm(first)
-    plane = np.stack([first, np.cross(axis, first)], 1)
-    corners = (mesh.vertices[mesh.faces] - pivot) @ plane
-    normals = np.cross(*np.moveaxis(mesh.vertices[mesh.faces][:, 1:] - mesh.vertices[mesh.faces][:, :1], 1, 0))
-    weight = np.repeat(np.linalg.norm(normals, axis=1), 3) + 1e-30
-    points = ((corners + np.roll(corners, 1, 1)) / 2).reshape(-1, 2)  # second moments are exact at edges' middles
-    long = np.linalg.eigh((points * weight[:, None]).T @ points)[1][:, 1]
-
-    def spread(way: np.ndarray) -> float:
-        side = points @ way > 0
-        return float(np.linalg.eigvalsh(np.cov(points[side].T, aweights=weight[side]))[0]) if side.sum() > 2 else 0.0
-
-    way = min((long, -long), key=spread)
-    ends = (mesh.vertices - pivot) @ plane
-    reach = np.linalg.norm(ends, axis=1) * (ends @ way > 0)
-    tip = plane @ ends[reach > 0.98 * reach.max()].mean(0)
-    return tip / np.linalg.norm(tip)
 
 
 def _frames(model: ObjectModel, category: Category) -> Iterator[np.ndarray]:

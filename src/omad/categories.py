@@ -59,7 +59,7 @@ class Category:
     joints: tuple[JointSpec, ...]
     rest: tuple[str, ...]
     """Per joint, how geometry tells the rest state: 'closed' (box smallest), 'perpendicular' (child at 90 degrees),
-    'tips together' (two long parts that cross at the joint point the same way)."""
+    'tips together' (two long parts that cross at the joint point the same way), 'zero' (the source's own zero)."""
     views: ViewRange = ViewRange()
     basis_size: int = 10
     """|beta|."""
