@@ -286,6 +286,11 @@ BREAKING: dict[str, tuple[Callable[[Layout], object], str, int]] = {
     "no state": (lambda a: edit_instance(a, lambda i: i["links"][1].pop("state")), r"field 'state'.*a number", 3),
     "box": (lambda a: edit_instance(a, lambda i: i.update(bbox=[5, 5, 5, 9])), r"field 'bbox'.*x1 < x2", 3),
     "pose": (lambda a: edit_instance(a, lambda i: i["links"][0].update(transformation=[1])), r"'transf.*4x4", 3),
+    "mirrored pose": (
+        lambda a: edit_instance(a, lambda i: i["links"][0].update(transformation=np.diag([1, 1, -1, 1]).tolist())),
+        r"'transformation'.*rigid",
+        3,
+    ),
     "unknown id": (lambda a: edit_instance(a, lambda i: i.update(urdf_id=7)), r"unknown object id 7", 3),
     "no urdf": (lambda a: a.aligned_urdf("2000000").unlink(), r"2000000/mobility_for_unity_align\.urdf: missing", 2),
     "urdf cut off": (lambda a: cut(a.aligned_urdf("2000000")), r"align\.urdf: broken XML", 2),

@@ -41,6 +41,7 @@ ORDER = [
     "view_folder",
     "sources.artimage.layout",
     "sources.artimage.objects",
+    "sources.artimage.annotations",
     "sources.artimage.images",
     "sources.artimage.writer",
     "sources.artimage.check",

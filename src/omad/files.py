@@ -65,7 +65,7 @@ def read_depth(path: str | Path, depth_scale: float | None = None) -> np.ndarray
     path = _existing(path, DEPTH_FORMATS, "depth image")
     if depth_scale is not None and not (np.isfinite(depth_scale) and depth_scale > 0):
         raise InputError(f"depth scale {depth_scale}: give metres per stored integer, 0.001 for millimetres")
-    stored = _read_array(path, "depth") if path.suffix.lower() in (".npy", ".npz") else _read_image(path)
+    stored = _read_array(path, "depth") if path.suffix.lower() in (".npy", ".npz") else read_image(path)
     if stored.ndim == 3 and stored.shape[2] == 1:
         stored = stored[..., 0]
     if stored.ndim != 2 or stored.dtype == np.uint8:
@@ -83,7 +83,7 @@ def read_depth(path: str | Path, depth_scale: float | None = None) -> np.ndarray
 def read_mask(path: str | Path) -> np.ndarray:
     """Mask (H, W) bool, true where the image or array is not zero in any colour channel (alpha is ignored)."""
     path = _existing(path, DEPTH_FORMATS, "mask")
-    stored = _read_array(path, "mask") if path.suffix.lower() in (".npy", ".npz") else _read_image(path, "RGB")
+    stored = _read_array(path, "mask") if path.suffix.lower() in (".npy", ".npz") else read_image(path, "RGB")
     if stored.ndim == 3:
         stored = stored.any(-1)
     if stored.ndim != 2:
@@ -219,7 +219,11 @@ def _existing(path: str | Path, formats: tuple[str, ...], kind: str) -> Path:
     return path
 
 
-def _read_image(path: Path, mode: str | None = None) -> np.ndarray:
+def read_image(path: Path, mode: str | None = None) -> np.ndarray:
+    """An image file as it is stored, (H, W) or (H, W, channels); with ``mode``, palettes and alpha become that mode.
+
+    Raises InputError for a file that is not readable as an image.
+    """
     try:
         with Image.open(path) as image:
             if mode is not None and image.mode in ("P", "RGBA", "LA"):

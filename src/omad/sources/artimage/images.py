@@ -7,38 +7,22 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
-from PIL import Image
 
 from ...camera import Camera
 from ...categories import Category
 from ...errors import InputError
-from ...files import read_intrinsics
+from ...files import read_image, read_intrinsics
 from ...render import NOTHING
 from ...standard_views import View
+from .annotations import Annotation, read_annotation
 from .layout import DEPTH_STEP, SPLITS, Layout, Split, peculiarities, read_json
 from .objects import ArtImageObject, read_object, read_rest_states
 
 Broken = Literal["refuse", "skip"]
 """What to do about broken files: stop at the first, or leave out what they belong to and list it."""
-
-
-@dataclass(frozen=True)
-class Annotation:
-    """One image's annotation as it stands in its file."""
-
-    path: Path
-    object: str
-    box: tuple[int, int, int, int]
-    """x1, y1, x2, y2, half-open pixels."""
-    depth: Path
-    mask: Path
-    T_camera_link: dict[int, np.ndarray]
-    """(4, 4) model frame -> camera per link, in the file's units."""
-    states: dict[int, float]
-    """Per child link, degrees or units."""
 
 
 @dataclass(frozen=True)
@@ -75,9 +59,8 @@ class ArtImage:
     def view(self, annotation: Annotation) -> View:
         """The image of one annotation. Raises InputError where it is not readable."""
         category, thing = self.category, self.objects[annotation.object]
-        stored = _read_depth(annotation.depth)
-        mask = _read_channels(annotation.mask)
-        mask = mask if mask.ndim == 2 else mask[..., 2]
+        _check_there(annotation.depth, annotation.mask)
+        stored, mask = _read_depth(annotation.depth), _read_mask(annotation.mask)
         for path, image in ((annotation.depth, stored), (annotation.mask, mask)):
             if image.shape != (self.camera.height, self.camera.width):
                 raise InputError(f"{path}: {image.shape} pixels do not fit the camera's; download it again")
@@ -87,14 +70,14 @@ class ArtImage:
         depth = np.where(inside, stored * (DEPTH_STEP * category.metres_per_unit), 0.0).astype(np.float32)
         part_of = np.full(max(256, int(mask.max()) + 1), NOTHING, dtype=np.uint8)
         part_of[list(thing.links)] = np.arange(len(thing.links))
-        T_camera_model = annotation.T_camera_link[0].copy()
+        T_camera_model = annotation.T_camera_base.copy()
         T_camera_model[:3, 3] *= category.metres_per_unit
         return View(
             truth=thing.truth,
             depth=depth,
             labels=np.where(depth > 0, part_of[mask], np.uint8(NOTHING)),
             camera=self.camera,
-            states=thing.states([annotation.states[link] for link in thing.links[1:]], category),
+            states=thing.states([annotation.states[link - 1] for link in thing.links[1:]], category),
             T_camera_base=T_camera_model @ np.linalg.inv(thing.T_canonical_base),
             seed=(),
         )
@@ -132,46 +115,6 @@ def open_artimage(root: Path | str, category: Category, split: Split, broken: Br
     return ArtImage(category, _read_camera(layout), objects, chosen, broken, left_out)
 
 
-def read_annotation(layout: Layout, name: str, parts: int) -> Annotation:
-    """Annotation file ``name`` of an object with ``parts`` parts. Raises InputError naming the field that is wrong."""
-    path = layout.annotation(name)
-    record = read_json(path)
-    field_name = "instances"
-    try:
-        (instance,) = record["instances"]
-        field_name = "urdf_id"
-        thing = str(instance["urdf_id"])
-        field_name = "bbox"
-        x1, y1, x2, y2 = (int(value) for value in instance["bbox"])
-        if not (0 <= x1 < x2 and 0 <= y1 < y2):
-            raise ValueError
-        field_name = "depth_path"
-        depth = str(record["depth_path"])
-        field_name = "links"
-        links: dict[int, Any] = {int(link["link_category_id"]): link for link in instance["links"]}
-        if sorted(links) != list(range(parts)):
-            raise ValueError
-        field_name = "transformation"
-        transforms = {k: np.array(link["transformation"], dtype=np.float64) for k, link in links.items()}
-        if any(T.shape != (4, 4) or not np.isfinite(T).all() for T in transforms.values()):
-            raise ValueError
-        field_name = "state"
-        states = {k: float(link["state"]) for k, link in links.items() if k}
-        if not np.isfinite(list(states.values())).all():
-            raise ValueError
-    except (KeyError, TypeError, ValueError) as error:
-        wanted = {
-            "instances": "one instance",
-            "bbox": "x1, y1, x2, y2 with x1 < x2 and y1 < y2",
-            "links": f"the links 0 to {parts - 1}",
-            "transformation": "a 4x4 matrix of each link",
-            "state": "a number for each link but the base",
-        }.get(field_name, "it")
-        raise InputError(f"{path}: field {field_name!r} is not right: needs {wanted}; leave this image out") from error
-    mask = depth.replace("depth", "category_mask")
-    return Annotation(path, thing, (x1, y1, x2, y2), layout.images / depth, layout.images / mask, transforms, states)
-
-
 def _listed(layout: Layout) -> dict[str, set[Split]]:
     """Annotation names in the order of the lists, and which lists name them."""
     found: dict[str, set[Split]] = {}
@@ -179,7 +122,7 @@ def _listed(layout: Layout) -> dict[str, set[Split]]:
         path = layout.valid(split)
         if not path.is_file():
             raise InputError(f"{path}: missing; download it again")
-        for line in path.read_text(encoding="utf-8").splitlines():
+        for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
             if line.strip():
                 found.setdefault(line.strip(), set()).add(split)
     return found
@@ -205,19 +148,14 @@ def _read_camera(layout: Layout) -> Camera:
 
 def _read_depth(path: Path) -> np.ndarray:
     """(H, W) stored integers of either encoding: one channel, or green * 256 + red."""
-    stored = _read_channels(path).astype(np.int64)
+    stored = read_image(path, "RGB").astype(np.int64)
     return stored if stored.ndim == 2 else stored[..., 1] * 256 + stored[..., 0]
 
 
-def _read_channels(path: Path) -> np.ndarray:
-    """(H, W) or (H, W, 3 or more)."""
-    _check_there(path)
-    try:
-        with Image.open(path) as image:
-            return np.asarray(image.convert("RGB") if image.mode in ("P", "LA") else image)
-    except (OSError, SyntaxError, ValueError) as error:
-        reason = " ".join(str(error).split())
-        raise InputError(f"{path}: not readable as an image ({reason}); download it again") from error
+def _read_mask(path: Path) -> np.ndarray:
+    """(H, W) part numbers of the files."""
+    stored = read_image(path, "RGB").astype(np.int64)
+    return stored if stored.ndim == 2 else stored[..., 2]
 
 
 def _check_there(*paths: Path) -> None:
@@ -234,5 +172,7 @@ def _passing_over(broken: Broken, left_out: list[dict[str, str]], name: str) -> 
     except InputError as error:
         if broken == "refuse":
             raise InputError(f"{error} (or leave out what is broken with --broken skip)") from error
-        print(f"left out {name}: {error}", file=sys.stderr)
-        left_out.append({"name": name, "reason": str(error)})
+        entry = {"name": name, "reason": str(error)}
+        if entry not in left_out:  # images may be read more than once
+            print(f"left out {name}: {error}", file=sys.stderr)
+            left_out.append(entry)
