@@ -2,8 +2,9 @@
 
     OMP_NUM_THREADS=1 python benchmarks/bench_render.py [--category dishwasher] [--triangles 20000] [--json]
 
-Objects are procedural ones, their triangles split until there are at least as many as asked for. A view is 640x480 depth and part
-labels and the truth, files included. Median of several runs of one process; two processes beside it, where there are two cores.
+Objects are procedural ones, their triangles split until there are at least as many as asked for. A view is 640x480
+depth and part labels and the truth, files included. Median of several runs of one process; two processes beside it,
+where there are two cores.
 """
 
 from __future__ import annotations

@@ -1,0 +1,134 @@
+"""Measure the shipped weights and write README's tables of accuracy.
+
+    OMP_NUM_THREADS=1 python benchmarks/make_tables.py [--models FOLDER] [--categories laptop drawer]
+
+``--models``: a folder with one sub-folder of URDF or PartNet-Mobility models a category (``FOLDER/laptop/...``);
+without it the table of foreign models stays as it is. Tables stand between ``<!-- name -->`` and ``<!-- end -->`` in
+README.md. Answers are kept in ``--cache`` and made anew only where they are missing: a table is rewritten in a second.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import tyro
+
+from omad.categories import CATEGORIES
+from omad.commands_eval import EvalPose
+from omad.files import make_folder, write_atomic
+
+README = Path(__file__).parent.parent / "README.md"
+PAPER = {
+    "laptop": ("3.3", "3.7", "0.03"),
+    "eyeglasses": ("4.9; 5.2", "4.2; 4.6", "0.05; 0.04"),
+    "dishwasher": ("3.7", "4.6", "0.09"),
+    "scissors": ("3.2", "2.7", "0.05"),
+    "drawer": ("0.11 u; 0.11 u; 0.09 u", "3.2", "-"),
+}
+"""The paper's Table 1, refined: joint state, axis angle, axis distance."""
+HEAD = "joint state (° or u) | axis angle (°) | axis distance (u) | base rotation (°) | within 5°, 5 % | flipped |"
+
+
+@dataclass(frozen=True)
+class Config:
+    """What to measure."""
+
+    models: Path | None = None
+    categories: tuple[str, ...] = tuple(CATEGORIES)
+    cache: Path = Path("runs/tables")
+    views: int = 200
+    """On procedural objects."""
+    views_a_model: int = 100
+    """On each foreign model."""
+
+
+def measured(config: Config, category: str, source: str, noisy: bool, views: int) -> dict[str, Any]:
+    """The answer of ``omad eval pose``, from the cache where it is there."""
+    kind = "procedural" if source == "procedural" else "models"
+    file = config.cache / f"{category}-{kind}-{'on' if noisy else 'off'}-{views}.json"
+    if not file.is_file():
+        print(f"{category}, {kind}, noise {'on' if noisy else 'off'}", file=sys.stderr)
+        _, answer = EvalPose(category, source=source, views=views, depth_noise=noisy).run()
+        make_folder(config.cache)
+        write_atomic(file, lambda path: path.write_text(json.dumps(answer)))
+    return json.loads(file.read_text())
+
+
+def cells(errors: dict[str, Any], unit: float) -> str:
+    """Mean / median of every joint, as one line of the table."""
+    states = [
+        spread(angle, 1, 1) if angle else spread(length, 1 / unit, 3) + " u"
+        for angle, length in zip(errors["joint_state_error_deg"], errors["joint_state_error"], strict=True)
+    ]
+    distances = [spread(e, 1 / unit, 3) if e else "-" for e in errors["axis_distance"]]
+    columns = [
+        each(states),
+        each([spread(e, 1, 1) for e in errors["axis_error_deg"]]),
+        each(distances),
+        spread(errors["rotation_error_deg"][0], 1, 1),
+        f"{errors['within_5deg_5percent']:.0%}",
+        f"{errors['flipped']:.1%}",
+    ]
+    return " | ".join(columns) + " |"
+
+
+def each(values: list[str]) -> str:
+    """Values of all joints, once where they are the same."""
+    return "; ".join(dict.fromkeys(values))
+
+
+def spread(error: dict[str, float], factor: float, digits: int) -> str:
+    return f"{factor * error['mean']:.{digits}f} / {factor * error['median']:.{digits}f}"
+
+
+def procedural_table(config: Config) -> list[str]:
+    lines = [f"| category | noise | | {HEAD}", "|---" * 9 + "|"]
+    for name in config.categories:
+        for noisy in (False, True):
+            answer = measured(config, name, "procedural", noisy, config.views)
+            for stage in ("initial", "refined"):
+                row = cells(answer[stage], answer["metres_per_unit"])
+                lines.append(f"| {name} | {'on' if noisy else 'off'} | {stage} | {row}")
+        state, axis, distance = PAPER[name]
+        lines.append(f"| {name} | | *paper*, refined | {state} | {axis} | {distance} | | | |")
+    return lines
+
+
+def models_table(config: Config, models: Path) -> list[str]:
+    lines, refused = [f"| object | noise | {HEAD}", "|---" * 8 + "|"], []
+    for name in config.categories:
+        source = models / name
+        if not source.is_dir():
+            continue
+        for noisy in (False, True):
+            count = len(measured(config, name, str(source), False, 1)["refused"])
+            usable = sum(path.is_dir() for path in source.iterdir()) - count
+            answer = measured(config, name, str(source), noisy, config.views_a_model * usable)
+            for entry in answer["by_object"]:
+                row = cells(entry["refined"], answer["metres_per_unit"])
+                lines.append(f"| {name} {entry['object']} | {'on' if noisy else 'off'} | {row}")
+        reasons = ((r["name"], r["reason"].split(": ", 1)[-1]) for r in answer["refused"])
+        refused += [f"- {name} {model}: {reason}" for model, reason in reasons]
+    return [*lines, "", "Refused:", "", *refused] if refused else lines
+
+
+def replaced(text: str, name: str, lines: list[str]) -> str:
+    """``text`` with what stands between the marks of ``name`` exchanged."""
+    pattern = re.compile(rf"(<!-- {name} -->\n).*?(<!-- end -->)", re.DOTALL)
+    return pattern.sub(lambda match: match[1] + "\n".join(lines) + "\n" + match[2], text)
+
+
+def main(config: Config) -> None:
+    text = replaced(README.read_text(), "procedural", procedural_table(config))
+    if config.models is not None:
+        text = replaced(text, "models", models_table(config, config.models))
+    write_atomic(README, lambda path: path.write_text(text))
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Config, description=__doc__))
