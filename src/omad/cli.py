@@ -17,6 +17,7 @@ import tyro
 
 from . import commands as c
 from . import commands_eval as e
+from . import commands_import as i
 from . import commands_train as t
 from .errors import InputError, WorkError
 from .tables import readable
@@ -40,6 +41,7 @@ _Command = (
     Annotated[c.Demo, _name("demo")]
     | Annotated[c.Estimate, _name("estimate")]
     | Annotated[c.Generate, _name("generate")]
+    | Annotated[i.Import, _name("import")]
     | Annotated[c.Render, _name("render")]
     | _Train
     | _Eval

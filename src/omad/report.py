@@ -13,7 +13,7 @@ from .estimate import Estimate, JointEstimate
 from .files import write_atomic
 from .metrics import ObjectPose
 from .observation import Observation
-from .render import NOTHING, render
+from .render import NOTHING, Rendering, render
 
 PART_COLOURS = np.array([[0.35, 0.6, 0.95], [1.0, 0.6, 0.25], [0.45, 0.8, 0.4], [0.85, 0.4, 0.75], [0.6, 0.6, 0.6]])
 MAX_DRAWN = 6000
@@ -54,7 +54,7 @@ def figure(observation: Observation, estimate: Estimate, truth: ObjectPose | Non
     poses = {"estimated object": estimate.joint_states, "joints at lower limit": limits[:, 0]}
     poses["joints at upper limit"] = limits[:, 1]
     for panel, (name, states) in zip(panels[3:], poses.items(), strict=True):
-        panel.imshow(_shaded(render(model, states, estimate.T_camera_base, camera)))
+        panel.imshow(shaded(render(model, states, estimate.T_camera_base, camera)))
         panel.set_title(name)
         for joint in estimate.joints:
             draw_axis(panel, camera, joint.axis, joint.pivot, estimate.keypoints, "crimson", "-")
@@ -111,7 +111,8 @@ def draw_axis(
     panel.plot(u, v, style, color=colour, linewidth=2.5, zorder=4)
 
 
-def _shaded(rendering) -> np.ndarray:
+def shaded(rendering: Rendering) -> np.ndarray:
+    """(H, W, 3) picture of a rendering: a colour a part, darker where surfaces turn away, white around."""
     image = np.ones((*rendering.depth.shape, 3))
     seen = rendering.labels != NOTHING
     colour = PART_COLOURS[rendering.labels[seen] % len(PART_COLOURS)]

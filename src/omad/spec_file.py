@@ -29,12 +29,9 @@ from typing import Any, NoReturn, TypeVar, cast, get_args
 from .categories import CATEGORIES, Category, JointSpec, PartSpec, ViewRange
 from .errors import InputError
 from .kinematics import JointType
+from .rest_states import REST_RULES
 
 FORMATS = (".toml", ".json")
-REST_RULES: dict[JointType, tuple[str, ...]] = {
-    "revolute": ("closed", "perpendicular", "tips together", "zero"),
-    "prismatic": ("closed", "zero"),
-}
 KEYPOINTS = 12
 """Of a part that does not say how many."""
 
@@ -145,7 +142,7 @@ def _joint(table: _Table, index: int, names: list[str], metres_per_unit: float) 
 
 
 def _rest(table: _Table, kind: JointType) -> str:
-    return table.choice("rest", REST_RULES[kind], "closed")
+    return table.choice("rest", [rule for known, rule in REST_RULES if known == kind], "closed")
 
 
 def _views(top: _Table) -> ViewRange:

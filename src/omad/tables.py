@@ -15,6 +15,8 @@ def readable(answer: dict[str, Any]) -> str:
         return pose_table(answer)
     if "joints" in answer:
         return joint_table(answer["joints"])
+    if "picture" in answer and "refused" in answer:
+        return import_text(answer)
     if "refused" in answer and "results" in answer:
         return estimate_table(answer["results"])
     return "\n".join(f"{key}: {_plain(value)}" for key, value in answer.items())
@@ -71,6 +73,17 @@ def estimate_table(results: list[dict[str, Any]]) -> str:
             share = "-" if joint["fraction"] is None else f"{joint['fraction']:.0%}"
             rows.append([result["input"], joint["name"], state, share, "yes" if result["converged"] else "no"])
     return table(rows)
+
+
+def import_text(answer: dict[str, Any]) -> str:
+    """What became of a folder of models."""
+    lines = [f"{answer['category']}: {len(answer['used'])} of {answer['models']} models -> {answer['folder']}"]
+    lines += [f"{count} refused: {reason}" for reason, count in answer["reasons"].items()]
+    lines += [f"  {refusal['name']}: {refusal['reason']}" for refusal in answer["refused"]]
+    lines += [f"note on {note['name']}: {note['reason']}" for note in answer["notes"]]
+    if answer["picture"]:
+        lines.append(f"see whether they stand alike: {answer['picture']}")
+    return "\n".join(lines)
 
 
 def pose_table(answer: dict[str, Any]) -> str:

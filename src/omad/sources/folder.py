@@ -39,17 +39,12 @@ def load_folder(
     Arguments as in ``import_model``. Objects that do not fit are listed with the reason.
     Raises InputError where ``folder`` does not exist or holds no object at all.
     """
-    folder = Path(folder)
-    if not folder.exists():
-        raise InputError(f"{folder}: no such folder; give a folder of URDF models")
     models, refused = [], []
-    for source in _objects_in(folder):
+    for source in object_paths(folder):
         try:
             models.append(import_model(source, category, scale, missing_meshes))
         except InputError as error:
-            refused.append(Refusal(_name(source), str(error)))
-    if not models and not refused:
-        raise InputError(f"{folder}: no .urdf in it or in its sub-folders; give a folder of URDF models")
+            refused.append(Refusal(object_name(source), str(error)))
     return FolderImport(models, refused)
 
 
@@ -61,6 +56,22 @@ def import_model(
     ``scale`` is metres per unit of the file; left out, PartNet-Mobility folders have the category's and others 1.
     Raises InputError with the file and the reason where the model is broken or does not fit the category.
     """
+    return import_with_notes(path, category, scale, missing_meshes).model
+
+
+@dataclass(frozen=True)
+class Imported:
+    """A foreign model, and what had to be put right about it."""
+
+    model: ObjectModel
+    notes: tuple[str, ...]
+    """A line each."""
+
+
+def import_with_notes(
+    path: Path | str, category: Category, scale: float | None = None, missing_meshes: MissingMeshes = "refuse"
+) -> Imported:
+    """``import_model``, and what its reader changed."""
     path = Path(path)
     file = _urdf_of(path) if path.is_dir() else path
     normalised = partnet.is_partnet(file)
@@ -68,21 +79,35 @@ def import_model(
         scale = category.metres_per_unit if normalised else 1.0
     if normalised:
         partnet.check_source_name(file.parent, category)
-    raw = read_articulation(file, scale, missing_meshes)
-    if normalised:
-        raw = partnet.with_stated_axes(partnet.with_names(raw, file.parent), file.parent, scale)
+    stated = read_articulation(file, scale, missing_meshes)
+    raw = (
+        partnet.with_stated_axes(partnet.with_names(stated, file.parent), file.parent, scale) if normalised else stated
+    )
+    moved = [joint.name for joint, before in zip(raw.joints, stated.joints, strict=True) if joint is not before]
+    notes = [f"axis of {', '.join(moved)} taken from {partnet.JOINTS}: the URDF has it elsewhere"] if moved else []
     try:
         model = align(label_parts(raw, category), category)
     except InputError as error:
-        raise InputError(f"{file}: not usable as a {category.name}: {error}") from error
-    return replace(model, name=_name(path))
+        raise InputError(f"{file}: not usable as {category.name}: {error}") from error
+    return Imported(replace(model, name=object_name(path)), tuple(notes))
 
 
-def _objects_in(folder: Path) -> list[Path]:
+def object_paths(folder: Path | str) -> list[Path]:
+    """The ``.urdf`` files or sub-folders of ``folder``, one an object, by name; or ``folder`` itself, if it is one.
+
+    Raises InputError where ``folder`` does not exist or holds no object at all.
+    """
+    folder = Path(folder)
+    if not folder.exists():
+        raise InputError(f"{folder}: no such folder; give a folder of URDF models")
     if folder.is_file() or (folder / partnet.URDF).is_file():
         return [folder]
-    files = sorted(folder.glob("*.urdf"))
-    return files or sorted(sub for sub in folder.iterdir() if sub.is_dir() and not sub.name.startswith("."))
+    found = sorted(folder.glob("*.urdf")) or sorted(
+        sub for sub in folder.iterdir() if sub.is_dir() and not sub.name.startswith(".")
+    )
+    if not found:
+        raise InputError(f"{folder}: no .urdf in it or in its sub-folders; give a folder of URDF models")
+    return found
 
 
 def _urdf_of(folder: Path) -> Path:
@@ -95,7 +120,7 @@ def _urdf_of(folder: Path) -> Path:
     return files[0]
 
 
-def _name(path: Path) -> str:
+def object_name(path: Path) -> str:
     """An object is called like its folder, a lone file like itself."""
     if path.name == partnet.URDF:
         path = path.resolve().parent
