@@ -130,19 +130,19 @@ def test_points_that_we_write_land_on_the_depth(category: Category, written: Cal
 
 
 def check_geometry(images: ArtImage, category: Category) -> None:
-    """Every part lies where the image shows it, and nowhere else: a negated state is found out."""
-    far = 0
+    """Every part lies where the image shows it, and with negated states it would not."""
+    moved = 0
     for view in images:
         surface = images.objects[view.object].surface
-        right = misfit(view, surface, category)
-        assert np.nanmax(right) < FITS
-        wrong = misfit(replace(view, states=-view.states), surface, category)
-        for joint, state in enumerate(view.states):
-            moved = 0.1 if category.joints[joint].type == "prismatic" else 0.2
-            if abs(state) > moved * (view.truth.diagonal if moved == 0.1 else 1) and not np.isnan(wrong[joint + 1]):
-                assert wrong[joint + 1] > FITS
-                far += 1
-    assert far
+        assert np.nanmax(misfit(view, surface, category)) < FITS
+        far = [
+            abs(state) > (0.05 * view.truth.diagonal if joint.type == "prismatic" else 0.15)
+            for state, joint in zip(view.states, category.joints, strict=True)
+        ]
+        if any(far):  # a joint near its rest state looks the same the other way
+            assert np.nanmax(misfit(replace(view, states=-view.states), surface, category)) > FITS
+            moved += 1
+    assert moved
 
 
 # the writer
@@ -383,6 +383,7 @@ def test_training_views_of_points_are_like_those_of_meshes(
         torch.stack([(bank.labels == part).float().mean() for part in range(len(category.parts))]) for bank in banks
     ]
     torch.testing.assert_close(shares[0], shares[1], atol=0.1, rtol=0)
+    assert len(np.unique(banks[0].points[0], axis=0)) > 0.5 * min(8192, 4000 * len(category.parts))
     spans = [torch.stack([bank.points.amin(1), bank.points.amax(1)]) for bank in banks]
     torch.testing.assert_close(spans[0], spans[1], atol=0.03, rtol=0)
     views = draw_views(banks[0], category, 4, ViewSettings(points=256), torch.Generator().manual_seed(0))

@@ -130,7 +130,7 @@ class PointObject:
     def from_clouds(
         cls, name: str, clouds: list[np.ndarray], axes: np.ndarray, pivots: np.ndarray, limits: np.ndarray
     ) -> PointObject:
-        """From the points (n, 3) of each part; each part may be sampled as densely as it likes."""
+        """From the points (n, 3) of each part; parts may be sampled unequally densely."""
         normals, areas = zip(*(_local_planes(cloud) for cloud in clouds), strict=True)
         surface = SurfaceSamples(
             points=np.concatenate(clouds).astype(np.float32),
@@ -141,8 +141,10 @@ class PointObject:
         return cls(name, axes, pivots, limits, surface, area / area.sum())
 
     def surface_samples(self, count: int, rng: np.random.Generator) -> SurfaceSamples:
-        """``count`` of the points, by area over all parts together; they may repeat."""
-        chosen = rng.choice(len(self.areas), count, p=self.areas)
+        """``count`` of the points, by area over all parts together; none repeats before it must."""
+        order = rng.permutation(len(self.areas))
+        steps = (np.arange(count) + rng.random()) / count  # evenly through the points laid end to end by area
+        chosen = order[np.searchsorted(np.cumsum(self.areas[order]), steps).clip(max=len(order) - 1)]
         return SurfaceSamples(self.surface.points[chosen], self.surface.normals[chosen], self.surface.labels[chosen])
 
 
@@ -151,8 +153,8 @@ SampledObject = ObjectModel | PointObject
 
 
 def _local_planes(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Unit normals (n, 3) of either sign, and the area (n,) around each point, from its neighbours."""
+    """Unit normals (n, 3) of either sign, and the area (n,) that each point stands for, up to a common factor."""
     distances, nearest = KDTree(points).query(points, min(NEIGHBOURS, len(points)))
     around = points[nearest] - points[nearest].mean(1, keepdims=True)
     normals = np.linalg.eigh(around.transpose(0, 2, 1) @ around)[1][..., 0]
-    return normals, distances[:, -1] ** 2
+    return normals, np.full(len(points), np.median(distances[:, -1]) ** 2)
