@@ -13,8 +13,7 @@ from .files import make_folder
 from .keypoint_check import keypoint_spread
 from .options import BrokenFiles, CategoryName, Device, Json, Result, Seed, Weights, check_category, check_positive
 from .runtime import pick_device
-from .sources.procedural import generate
-from .sources.select import load_views
+from .sources.select import load_models, load_views
 from .view_check import compare_views
 
 
@@ -63,8 +62,10 @@ class EvalKeypoints:
     """Show that keypoints correspond: how far each one's place in its part wanders between unseen objects."""
 
     category: CategoryName
+    source: str = "procedural"
+    """procedural, or a folder of URDF / PartNet-Mobility models."""
     objects: int = 100
-    """Procedural objects, whose semantic places are known."""
+    """Procedural objects."""
     seed: Seed = 0
     weights: Weights = None
     """Prior checkpoint folder in place of the shipped one."""
@@ -75,7 +76,7 @@ class EvalKeypoints:
         check_positive(objects=self.objects)
         net = load_priornet(self.weights or find_weights(self.category) / "prior").to(pick_device(self.device))
         check_category("--weights", self.weights, net.category, self.category)
-        models = [generate(net.category, index, "test", self.seed) for index in range(self.objects)]
+        models = load_models(self.source, net.category, self.objects, "test", self.seed).models
         return 0, asdict(keypoint_spread(net, models))
 
 
@@ -84,6 +85,8 @@ class EvalViews:
     """Show that training views are like rendered ones: the error of the network's first look on both."""
 
     category: CategoryName
+    source: str = "procedural"
+    """procedural, or a folder of URDF / PartNet-Mobility models."""
     objects: int = 20
     """Procedural objects."""
     views: int = 1000
@@ -98,5 +101,5 @@ class EvalViews:
         folder, device = find_weights(self.weights or self.category), pick_device(self.device)
         net, priornet = load_net(folder).to(device), load_priornet(folder / "prior").to(device)
         check_category("--weights", self.weights, net.category, self.category)
-        models = [generate(net.category, index, "test", self.seed) for index in range(self.objects)]
+        models = load_models(self.source, net.category, self.objects, "test", self.seed).models
         return 0, asdict(compare_views(net, priornet, models, self.views, self.seed))
