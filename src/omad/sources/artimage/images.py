@@ -121,7 +121,7 @@ def _listed(layout: Layout) -> dict[str, set[Split]]:
     for split in SPLITS:
         path = layout.valid(split)
         if not path.is_file():
-            raise InputError(f"{path}: missing; download it again")
+            raise InputError(f"{path}: missing; download it again, or finish the rendering that was to write it")
         for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
             if line.strip():
                 found.setdefault(line.strip(), set()).add(split)

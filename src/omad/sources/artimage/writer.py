@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from ...camera import STANDARD_CAMERA
+from ...camera import STANDARD_CAMERA, Camera
 from ...categories import Category
 from ...depth_noise import NoiseLevel
 from ...errors import InputError
@@ -55,29 +55,25 @@ def write_artimage(
     if not ids or len(set(ids)) < len(ids):
         raise InputError(f"{root}: rendering needs object models, each with an id of its own; got {ids}")
     splits: dict[str, Split] = {name: _split_of(name, category, split) for name in ids}
-    records: dict[Split, dict[str, Any]] = {}
-    for chosen in set(splits.values()):
-        records[chosen] = {
-            "camera": asdict(STANDARD_CAMERA),
-            "seed": seed,
-            "noise": asdict(noise) if noise else None,
-            "objects": {name: model.name for name, model in zip(ids, models, strict=True) if splits[name] == chosen},
-        }
-        _check_same(_record_path(layout, chosen), records[chosen])
-    for chosen, record in records.items():
-        write_json(_record_path(layout, chosen), record)
-    intrinsics = STANDARD_CAMERA.K.T.ravel().tolist()
-    camera = {"width": STANDARD_CAMERA.width, "height": STANDARD_CAMERA.height, "intrinsic_matrix": intrinsics}
-    _check_same(layout.camera, camera)
-    write_json(layout.camera, camera)
+    written: list[Split] = [chosen for chosen in SPLITS if chosen in splits.values()]
+    intrinsics = {"intrinsic_matrix": STANDARD_CAMERA.K.T.ravel().tolist()}
+    records: list[tuple[Path, dict[str, Any]]] = [(layout.camera, {**_size(STANDARD_CAMERA), **intrinsics})]
+    for chosen in written:
+        names = {name: model.name for name, model in zip(ids, models, strict=True) if splits[name] == chosen}
+        settings = {"seed": seed, "noise": asdict(noise) if noise else None, "objects": names}
+        records.append((_record_path(layout, chosen), settings))
+    for path, record in records:
+        _check_same(path, record)
+    for path, record in records:
+        write_json(path, record)
     for name, model in zip(ids, models, strict=True):
         _write_object(layout, name, model, category)
-    _add_rest_states(layout, ids, category)
+    _write_rest_states(layout, category)
     job = _Job(layout, tuple(models), tuple(ids), category, noise)
     draw_missing(job, views, seed, processes, progress)
     drawn = [(ids[index % len(ids)], job.name(index % len(ids), index // len(ids))) for index in range(views)]
     for chosen in SPLITS:
-        if chosen in records or not layout.valid(chosen).exists():
+        if chosen in written or not layout.valid(chosen).exists():
             _write_text(layout.valid(chosen), "".join(f"{file}\n" for name, file in drawn if splits[name] == chosen))
     return layout
 
@@ -108,18 +104,22 @@ class _Job:
         write_png(self.layout.images / "category_mask" / depth_path.name, np.repeat(mask[..., None], 3, 2))
         links = _links(model, view, self.category)
         instance = {"urdf_id": int(self.ids[seed[1]]), "bbox": _box(stored), "links": links}
-        size = {"width": view.camera.width, "height": view.camera.height}
-        write_json(target, {**size, "depth_path": depth_path.as_posix(), "instances": [instance]})
+        write_json(target, {**_size(view.camera), "depth_path": depth_path.as_posix(), "instances": [instance]})
+
+
+def _size(camera: Camera) -> dict[str, int]:
+    return {"width": camera.width, "height": camera.height}
 
 
 def _object_id(model: ObjectModel, index: int, split: Split) -> str:
-    return model.name if model.name.isdecimal() else str(FIRST_ID[split] + index)
+    return str(int(model.name)) if model.name.isdecimal() else str(FIRST_ID[split] + index)
 
 
 def _split_of(name: str, category: Category, split: Split) -> Split:
-    if int(name) >= min(FIRST_ID.values()):
+    known = peculiarities(category).test_objects
+    if not known or int(name) >= min(FIRST_ID.values()):
         return split
-    return "test" if name in peculiarities(category).test_objects else "train"
+    return "test" if name in known else "train"
 
 
 def _record_path(layout: Layout, split: Split) -> Path:
@@ -195,11 +195,13 @@ def _triple(vector: np.ndarray) -> str:
     return " ".join(repr(float(value) + 0.0) for value in vector[[2, 0, 1]])
 
 
-def _add_rest_states(layout: Layout, ids: Sequence[str], category: Category) -> None:
-    """The objects stand at rest as they are; those of other calls stay listed."""
-    record = read_json(layout.rest_states) if layout.rest_states.exists() else {}
-    rest = {str(part): {"state": 0.0} for part in range(1, len(category.parts))}
-    write_json(layout.rest_states, dict(sorted((record | dict.fromkeys(ids, rest)).items())))
+def _write_rest_states(layout: Layout, category: Category) -> None:
+    """The objects stand at rest as they are: those of every split that is there."""
+    records = [read_json(path) for path in (_record_path(layout, split) for split in SPLITS) if path.exists()]
+    ids = sorted(name for record in records for name in record["objects"])
+    write_json(
+        layout.rest_states, {name: {str(k): {"state": 0.0} for k in range(1, len(category.parts))} for name in ids}
+    )
 
 
 def _write_same(path: Path, text: str) -> None:
