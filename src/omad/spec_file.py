@@ -81,19 +81,17 @@ def read_spec(path: str | Path) -> Category:
     for index, spec in enumerate(specs):
         if spec.name in [other.name for other in specs[:index]]:
             joints[index].refuse("name", f"two joints are called {spec.name!r}; rename one")
-    category = Category(
+    return Category(
         name=_own_name(top),
         metres_per_unit=metres_per_unit,
-        parts=tuple(_part(part, index, names) for index, part in enumerate(parts)),
+        parts=_parts(parts, names),
         joints=specs,
         rest=tuple(_rest(joint, spec.type) for joint, spec in zip(joints, specs, strict=True)),
         views=_views(top),
         basis_size=top.whole("basis_size", 10),
-        swap_symmetry=top.get("swap_symmetry", False, bool, "true or false"),
+        swap_symmetry=_swap(top, len(parts)),
         source_names=top.words("source_names", ()),
     )
-    _check_mirrors(parts, category)
-    return category
 
 
 def _parsed(path: Path) -> Any:
@@ -111,6 +109,29 @@ def _own_name(top: _Table) -> str:
     if name in CATEGORIES:
         top.refuse("name", f"{name!r} is a built-in category; choose another name")
     return name
+
+
+def _swap(top: _Table, parts: int) -> bool:
+    swap = top.get("swap_symmetry", False, bool, "true or false")
+    if swap and parts != 2:
+        top.refuse("swap_symmetry", f"is for two parts, not {parts}; remove it")
+    return swap
+
+
+def _parts(tables: Sequence[_Table], names: list[str]) -> tuple[PartSpec, ...]:
+    """A mirror image has the same keypoints, and is mirrored back; halves of a part's own need an even number."""
+    parts = tuple(_part(table, index, names) for index, table in enumerate(tables))
+    for index, (table, part) in enumerate(zip(tables, parts, strict=True)):
+        if part.mirror is None:
+            continue
+        other = parts[part.mirror]
+        if other.mirror != index:
+            table.refuse("mirror", f"is {other.name!r}, whose own mirror is another one; name them in each other")
+        if other.keypoints != part.keypoints:
+            table.refuse("keypoints", f"differ from those of its mirror {other.name!r}; make them equal")
+        if part.mirror == index and part.keypoints % 2:
+            table.refuse("keypoints", f"are {part.keypoints} on a part that is its own mirror; use an even number")
+    return parts
 
 
 def _part(table: _Table, index: int, names: list[str]) -> PartSpec:
@@ -158,20 +179,6 @@ def _views(top: _Table) -> ViewRange:
         elevation=(math.radians(low), math.radians(high)),
         roll=math.radians(views.number("roll", math.degrees(usual.roll), least=0.0, most=180.0)),
     )
-
-
-def _check_mirrors(tables: Sequence[_Table], category: Category) -> None:
-    """A mirror image has the same keypoints, and is mirrored back; halves of a part's own need an even number."""
-    for index, part in enumerate(category.parts):
-        if part.mirror is None:
-            continue
-        other, table = category.parts[part.mirror], tables[index]
-        if other.mirror != index:
-            table.refuse("mirror", f"is {other.name!r}, whose own mirror is another one; name them in each other")
-        if other.keypoints != part.keypoints:
-            table.refuse("keypoints", f"differ from those of its mirror {other.name!r}; make them equal")
-        if part.mirror == index and part.keypoints % 2:
-            table.refuse("keypoints", f"are {part.keypoints} on a part that is its own mirror; use an even number")
 
 
 @dataclasses.dataclass(frozen=True)
