@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import os
 import shutil
 from collections.abc import Callable
@@ -292,6 +293,22 @@ BREAKING: dict[str, tuple[Callable[[Layout], object], str, int]] = {
         3,
     ),
     "unknown id": (lambda a: edit_instance(a, lambda i: i.update(urdf_id=7)), r"unknown object id 7", 3),
+    "box off the image": (
+        lambda a: edit_instance(a, lambda i: i.update(bbox=[700, 500, 720, 510])),
+        rf"depth/{FILE}\.png: no depth inside the box",
+        3,
+    ),
+    "points without numbers": (
+        lambda a: a.points("2000000", 1).write_text("nan nan nan\n" * 20),
+        r"1\.xyz: 20 points; expected .* finite",
+        2,
+    ),
+    "few points": (lambda a: a.points("2000000", 1).write_text("1 2 3\n"), r"1\.xyz: 1 points; expected at least", 2),
+    "rest state without a number": (
+        lambda a: edit(a.rest_states, lambda r: r["2000000"]["1"].update(state=math.nan)),
+        r"rest_state\.json: no state of part 1 of object 2000000",
+        2,
+    ),
     "no urdf": (lambda a: a.aligned_urdf("2000000").unlink(), r"2000000/mobility_for_unity_align\.urdf: missing", 2),
     "urdf cut off": (lambda a: cut(a.aligned_urdf("2000000")), r"align\.urdf: broken XML", 2),
     "no points": (lambda a: a.points("2000000", 1).unlink(), r"part_point_sample/1\.xyz: no such file", 2),

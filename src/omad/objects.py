@@ -130,7 +130,7 @@ class PointObject:
     def from_clouds(
         cls, name: str, clouds: list[np.ndarray], axes: np.ndarray, pivots: np.ndarray, limits: np.ndarray
     ) -> PointObject:
-        """From the points (n, 3) of each part; parts may be sampled unequally densely."""
+        """From points (n, 3) of each part, ``NEIGHBOURS`` or more; parts may be sampled unequally densely."""
         normals, areas = zip(*(_local_planes(cloud) for cloud in clouds), strict=True)
         surface = SurfaceSamples(
             points=np.concatenate(clouds).astype(np.float32),
@@ -154,7 +154,7 @@ SampledObject = ObjectModel | PointObject
 
 def _local_planes(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Unit normals (n, 3) of either sign, and the area (n,) that each point stands for, up to a common factor."""
-    distances, nearest = KDTree(points).query(points, min(NEIGHBOURS, len(points)))
+    distances, nearest = KDTree(points).query(points, NEIGHBOURS)
     around = points[nearest] - points[nearest].mean(1, keepdims=True)
     normals = np.linalg.eigh(around.transpose(0, 2, 1) @ around)[1][..., 0]
     return normals, np.full(len(points), np.median(distances[:, -1]) ** 2)

@@ -68,6 +68,8 @@ class ArtImage:
         inside = np.zeros(stored.shape, dtype=bool)
         inside[y1:y2, x1:x2] = True
         depth = np.where(inside, stored * (DEPTH_STEP * category.metres_per_unit), 0.0).astype(np.float32)
+        if not depth.any():
+            raise InputError(f"{annotation.depth}: no depth inside the box {annotation.box}; leave this image out")
         part_of = np.full(max(256, int(mask.max()) + 1), NOTHING, dtype=np.uint8)
         part_of[list(thing.links)] = np.arange(len(thing.links))
         T_camera_model = annotation.T_camera_base.copy()

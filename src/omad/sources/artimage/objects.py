@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 from ...categories import Category
 from ...errors import InputError
 from ...files import read_cloud
-from ...objects import PointObject
+from ...objects import NEIGHBOURS, PointObject
 from ...standard_views import ObjectTruth
 from .layout import Layout, peculiarities, read_json
 
@@ -63,7 +63,7 @@ def read_object(layout: Layout, name: str, rest_states: dict[str, Any], category
     unit = category.metres_per_unit
     axes, pivots = np.stack([j.axis for j in joints]), np.stack([j.pivot for j in joints]) * unit
     rest = [_rest_state(layout, rest_states, name, j) * (1.0 if j.revolute else unit) for j in joints]
-    clouds = [read_cloud(layout.points(name, part)) * unit for part in range(len(joints) + 1)]
+    clouds = [_read_points(layout.points(name, part)) * unit for part in range(len(joints) + 1)]
 
     D = _base_offset(layout, name, unit) if peculiarities(category).base_offset else np.eye(4)
     shut = [_rest_transform(joint, pivot, state) for joint, pivot, state in zip(joints, pivots, rest, strict=True)]
@@ -97,6 +97,13 @@ def read_object(layout: Layout, name: str, rest_states: dict[str, Any], category
         T_canonical_base=centred,
         signs=np.where(revolute, -against, against),
     )
+
+
+def _read_points(path: Path) -> np.ndarray:
+    points = read_cloud(path)
+    if len(points) < NEIGHBOURS or not np.isfinite(points).all():
+        raise InputError(f"{path}: {len(points)} points; expected at least {NEIGHBOURS}, all finite; download it again")
+    return points
 
 
 @dataclass(frozen=True)
@@ -169,6 +176,8 @@ def _rest_state(layout: Layout, record: dict[str, Any], name: str, joint: _Joint
         return 0.0
     try:
         state = float(record[name][str(joint.part)]["state"])
+        if not math.isfinite(state):
+            raise ValueError
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(
             f"{layout.rest_states}: no state of part {joint.part} of object {name}; download it again"
