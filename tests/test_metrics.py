@@ -54,17 +54,30 @@ def test_part_errors_are_at_the_part_box_centre():
 
 
 def test_not_finite_counts_as_missing():
-    found = errors(pose(state=np.nan))
+    found = errors(pose(state=np.nan, axis=(np.nan, 0, 0), turn=np.nan))
     assert found.missing
     assert np.degrees(found.joint_state[0]) == pytest.approx(90)
+    assert np.degrees(found.axis[0]) == pytest.approx(90)
     assert found.axis_distance[0] == 0.5
+    assert np.degrees(found.rotation) == pytest.approx([90, 90])
     prismatic = missing_errors(DRAWER)
     assert prismatic.joint_state[0] == DRAWER.metres_per_unit
     assert np.isnan(prismatic.axis_distance[0])
 
 
+def test_a_missing_part_leaves_the_others_their_own_errors():
+    partly = pose()
+    partly.T_camera_part[1] = np.nan
+    found = errors(replace(partly, states=np.array([np.nan])))
+    assert found.missing
+    assert np.degrees(found.joint_state[0]) == pytest.approx(90)
+    assert found.axis[0] == found.axis_distance[0] == 0
+    assert np.degrees(found.rotation) == pytest.approx([0, 90])
+    assert found.translation == pytest.approx([0, 0.5])
+
+
 def test_summary_keeps_missing_views_in_the_mean():
-    good, bad = errors(pose(state=np.radians(2))), errors(pose(state=np.nan))
+    good, bad = errors(pose(state=np.radians(2))), errors(pose(state=np.nan, turn=np.nan))
     table = summarise([good, good, good, bad], np.ones(4), HALF)
     assert table["joint_state_error_deg"][0]["mean"] == pytest.approx((3 * 2 + 90) / 4)
     assert table["joint_state_error_deg"][0]["median"] == pytest.approx(2)

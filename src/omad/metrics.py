@@ -48,7 +48,7 @@ class PoseErrors:
     swapped: bool = False
     """Parts that are each other's mirror image were taken for each other."""
     missing: bool = False
-    """The estimate had no answer; the worst was counted instead."""
+    """The estimate had no answer, or not for every joint and part; the worst was counted where it had none."""
 
     @property
     def flipped(self) -> bool:
@@ -63,15 +63,21 @@ class PoseErrors:
 def pose_errors(estimate: ObjectPose, truth: ObjectPose, part_boxes: np.ndarray, category: Category) -> PoseErrors:
     """Errors of an estimate; ``part_boxes`` (K, 2, 3) at rest.
 
-    An estimate that is not finite counts as missing: 90 degrees and one category unit everywhere. Where the category
-    has a swap symmetry, the labelling that turns the parts less counts.
+    What is not finite in an estimate counts as missing: its errors are 90 degrees and one category unit, those of the
+    joints and parts that are there are their own. Where the category has a swap symmetry, the labelling that turns the
+    parts less counts.
     """
-    parts = (estimate.states, estimate.axes, estimate.pivots, estimate.T_camera_part)
-    if not all(np.isfinite(values).all() for values in parts):
-        return missing_errors(category)
     labellings = [estimate, estimate.swapped()] if category.swap_symmetry else [estimate]
-    errors = [_errors(labelling, truth, part_boxes, category) for labelling in labellings]
+    errors = [_worst_where_missing(_errors(each, truth, part_boxes, category), category) for each in labellings]
     return min(errors, key=lambda e: e.rotation.sum())
+
+
+def _worst_where_missing(errors: PoseErrors, category: Category) -> PoseErrors:
+    worst = missing_errors(category)
+    names = ("joint_state", "axis", "axis_distance", "pivot_distance", "rotation", "translation")
+    counted = {n: np.where(np.isfinite(getattr(errors, n)), getattr(errors, n), getattr(worst, n)) for n in names}
+    missing = any((np.isnan(getattr(errors, n)) & ~np.isnan(getattr(worst, n))).any() for n in names)
+    return replace(errors, **counted, missing=missing)
 
 
 def _errors(estimate: ObjectPose, truth: ObjectPose, part_boxes: np.ndarray, category: Category) -> PoseErrors:
