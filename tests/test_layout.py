@@ -40,6 +40,7 @@ ORDER = [
     "standard_views",
     "view_folder",
     "sources.artimage.layout",
+    "sources.artimage.joints",
     "sources.artimage.objects",
     "sources.artimage.annotations",
     "sources.artimage.images",
