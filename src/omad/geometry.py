@@ -6,6 +6,8 @@ Conventions: quaternions are (w, x, y, z); rotations follow the right-hand rule;
 
 from __future__ import annotations
 
+import math
+
 import torch
 from torch import Tensor
 
@@ -84,6 +86,13 @@ def make_transform(rotation: Tensor, translation: Tensor) -> Tensor:
     bottom = torch.zeros_like(top[..., :1, :])
     bottom[..., 0, 3] = 1
     return torch.cat([top, bottom], -2)
+
+
+def quarter_turns() -> Tensor:
+    """(9, 4, 4) quarter, half and three-quarter turns about each axis of a frame."""
+    eye = torch.eye(3)
+    omega = torch.cat([eye * quarters * (math.pi / 2) for quarters in (1, 2, 3)])
+    return make_transform(so3_exp(omega), torch.zeros(9, 3))
 
 
 def invert_transform(transform: Tensor) -> Tensor:

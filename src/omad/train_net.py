@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -12,7 +11,7 @@ from torch import Tensor
 
 from .categories import Category
 from .errors import InputError
-from .geometry import invert_transform, make_transform, matrix_to_quaternion, so3_exp
+from .geometry import invert_transform, make_transform, matrix_to_quaternion, quarter_turns, so3_exp
 from .kinematics import deform
 from .losses import confidence_loss, joint_loss, quaternion_loss, state_loss
 from .objects import SampledObject
@@ -88,12 +87,10 @@ def disturbed_frames(views: ViewBatch, share: float, turned: float, generator: t
 
     size = 0.12 * (1 + normal(batch, 1).square())
     error = make_transform(so3_exp(normal(batch, 3) * size), 0.25 * size * normal(batch, 3))
-    axis = torch.eye(3, dtype=like.dtype, device=like.device)[
-        torch.randint(3, (batch,), device=like.device, generator=generator)
-    ]
-    quarters = torch.randint(1, 4, (batch, 1), device=like.device, generator=generator)
-    quarters = quarters * (torch.rand(batch, 1, device=like.device, generator=generator) < turned)
-    error = make_transform(so3_exp(axis * quarters * (math.pi / 2)), torch.zeros_like(axis)) @ error
+    turn = torch.randint(9, (batch,), device=like.device, generator=generator)
+    turn = torch.where(torch.rand(batch, device=like.device, generator=generator) < turned, turn, 9)
+    turns = torch.cat([quarter_turns(), torch.eye(4)[None]]).to(like)
+    error = turns[turn] @ error
     second = torch.rand(batch, 1, 1, dtype=like.dtype, device=like.device, generator=generator) < share
     return torch.where(second, views.T_camera_base @ error, first_frame(views.points))
 

@@ -20,6 +20,7 @@ from .categories import Category
 from .geometry import bounding_box
 from .kinematics import part_transforms
 from .objects import SampledObject
+from .observation import Observation
 from .viewpoints import sample_poses, sample_states, uniform
 
 GRID = 48
@@ -205,6 +206,25 @@ def choose_points(points: np.ndarray, count: int, rng: np.random.Generator) -> n
     cell = np.floor((rays - low) / ((high - low).max() / CELLS_SEEN + 1e-9)).astype(np.int64)
     _, first = np.unique(cell[:, 0] * 100_000 + cell[:, 1], return_index=True)
     return np.resize(some[rng.permutation(first)], count)
+
+
+def sample_clouds(
+    observations: Sequence[Observation],
+    points: int,
+    samples: int,
+    seed: int,
+    category: Category,
+    device: torch.device | str,
+) -> tuple[Tensor, list[np.ndarray]]:
+    """``samples`` random choices of ``points`` of each cloud, (B, samples, points, 3) in category units, and which
+    points they are. Every cloud draws anew from ``seed``, so that a batch gives what single calls give."""
+    chosen = []
+    for observation in observations:
+        rng = np.random.default_rng(seed)
+        chosen.append(np.concatenate([choose_points(observation.points, points, rng) for _ in range(samples)]))
+    picked = np.stack([o.points[index] for o, index in zip(observations, chosen, strict=True)])
+    clouds = torch.as_tensor(picked / category.metres_per_unit, dtype=torch.float32, device=device)
+    return clouds.unflatten(1, (samples, -1)), chosen
 
 
 def _carry(T: Tensor, vectors: Tensor, labels: Tensor, direction: bool = False) -> Tensor:
