@@ -12,6 +12,7 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 from torch import nn
 
+from .ancsh.net import AncshNet
 from .categories import CATEGORIES, Category, JointSpec, PartSpec, ViewRange
 from .errors import InputError
 from .files import write_atomic
@@ -22,7 +23,7 @@ from .priornet import PriorNet
 
 FORMAT = 1
 WEIGHTS = Path(__file__).parent / "weights"
-"""Shipped weights: ``<category>/`` is OMADNet, ``<category>/prior/`` is OMAD-PriorNet."""
+"""Shipped weights: ``<category>/`` is OMADNet, ``<category>/prior/`` is OMAD-PriorNet, ``<category>/ancsh/`` A-NCSH."""
 
 
 def save_net(net: OmadNet, folder: Path, training: dict[str, Any]) -> None:
@@ -35,13 +36,17 @@ def save_priornet(net: PriorNet, folder: Path, training: dict[str, Any]) -> None
     _save(net, folder, {"kind": "prior"}, net.category, training)
 
 
+def save_ancsh(net: AncshNet, folder: Path, training: dict[str, Any]) -> None:
+    """Write A-NCSH's network with its category."""
+    _save(net, folder, {"kind": "ancsh", "backbone": asdict(net.backbone.config)}, net.category, training)
+
+
 def load_net(folder: Path) -> OmadNet:
     """Read OMADNet on the CPU, ready to run. Raises InputError for anything that is not such a checkpoint."""
     config = _read_config(folder, "net")
     try:
         category = category_from_dict(config["category"])
-        backbone = BackboneConfig(**{key: _tuples(value) for key, value in config["backbone"].items()})
-        net = OmadNet(category, OmadPrior(category), backbone)
+        net = OmadNet(category, OmadPrior(category), _backbone(config))
     except Exception as error:  # a network of senseless sizes raises anything
         raise _wrong_config(folder, error) from error
     return _load(net, folder)
@@ -52,6 +57,16 @@ def load_priornet(folder: Path) -> PriorNet:
     config = _read_config(folder, "prior")
     try:
         net = PriorNet(category_from_dict(config["category"]))
+    except Exception as error:
+        raise _wrong_config(folder, error) from error
+    return _load(net, folder)
+
+
+def load_ancsh(folder: Path) -> AncshNet:
+    """Read A-NCSH's network on the CPU. Raises InputError for anything that is not such a checkpoint."""
+    config = _read_config(folder, "ancsh")
+    try:
+        net = AncshNet(category_from_dict(config["category"]), _backbone(config))
     except Exception as error:
         raise _wrong_config(folder, error) from error
     return _load(net, folder)
@@ -86,6 +101,10 @@ def category_from_dict(values: dict[str, Any]) -> Category:
     if not 0 < values["metres_per_unit"] < math.inf:
         raise ValueError("metres_per_unit must be above 0")
     return Category(**values)
+
+
+def _backbone(config: dict[str, Any]) -> BackboneConfig:
+    return BackboneConfig(**{key: _tuples(value) for key, value in config["backbone"].items()})
 
 
 def _tuples(value: Any) -> Any:

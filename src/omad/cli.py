@@ -28,8 +28,10 @@ _ABOUT = (
 )
 _name = tyro.conf.subcommand
 _Train = Annotated[
-    Annotated[t.TrainPrior, _name("prior")] | Annotated[t.TrainNet, _name("net")],
-    _name("train", description="Train a category: first its prior, then its network."),
+    Annotated[t.TrainPrior, _name("prior")]
+    | Annotated[t.TrainNet, _name("net")]
+    | Annotated[t.TrainAncsh, _name("ancsh")],
+    _name("train", description="Train a category: first its prior, then its network; or the baseline A-NCSH."),
 ]
 _Eval = Annotated[
     Annotated[e.EvalPose, _name("pose")]

@@ -9,8 +9,9 @@ from typing import Any, Literal
 import torch
 
 from . import __version__
+from .ancsh.training import AncshTraining, train_ancsh
 from .categories import Category
-from .checkpoint import find_weights, load_net, load_priornet, save_net, save_priornet, shipped_categories
+from .checkpoint import find_weights, load_net, load_priornet, save_ancsh, save_net, save_priornet, shipped_categories
 from .errors import InputError
 from .objects import SampledObject
 from .omadnet import OmadNet
@@ -83,6 +84,22 @@ class TrainPrior(_Training):
         category, models, schedule, device = self.prepare(PriorTraining().schedule)
         net = train_prior(models, category, self.output, PriorTraining(schedule=schedule), device)
         save_priornet(net, self.output, self.record(schedule))
+        return 0, {"checkpoint": str(self.output)}
+
+
+@dataclass(frozen=True)
+class TrainAncsh(_Training):
+    """Train the baseline A-NCSH as OMADNet is trained: same views, backbone and schedule, but no prior."""
+
+    size: Literal["slim", "paper"] = "slim"
+    """slim: fast on a CPU; paper: the paper's PointNet++."""
+
+    def run(self) -> Result:
+        backbone = PAPER_SIZE if self.size == "paper" else SLIM
+        category, models, schedule, device = self.prepare(AncshTraining().schedule)
+        settings = AncshTraining(schedule=schedule, backbone=backbone)
+        net = train_ancsh(models, category, self.output, settings, device)
+        save_ancsh(net, self.output, self.record(schedule))
         return 0, {"checkpoint": str(self.output)}
 
 
