@@ -37,6 +37,7 @@ basis_size = 6
 name = "top"
 keypoints = 16
 mirror = "self"
+sides = [[0.5, 1], [0, 0.3], [0.1, 1]]
 aliases = ["Board", "table_top"]
 
 [[parts]]
@@ -85,6 +86,7 @@ def test_every_field_is_read_and_angles_are_degrees_and_lengths_metres(written):
     assert [part.keypoints for part in found.parts] == [16, 4, 4, 12]
     assert [part.mirror for part in found.parts] == [0, 2, 1, None]
     assert found.parts[0].aliases == ("board", "table_top")
+    assert found.parts[0].sides == ((0.5, 1.0), (0.0, 0.3), (0.1, 1.0))
     rail, _, flap = found.joints
     assert rail.name == "rail"
     assert rail.axis == (0.0, 0.0, 1.0)
@@ -165,6 +167,8 @@ SLIPS = {
     "aliases a word": ('name = "body"\n', 'name = "body"\naliases = "body"\n', "parts[0].aliases: is 'body'"),
     "aliases of numbers": ('name = "body"\n', 'name = "body"\naliases = [3]\n', "parts[0].aliases: must be a list"),
     "no base": ('[[parts]]\nname = "body"\n', "", "parts[0].joint: the first part is the base"),
+    "sides alone": ('name = "body"\n', 'name = "body"\nsides = [0.2, 0.5]\n', "parts[0].sides: is [0.2, 0.5]"),
+    "sides turned": ('name = "body"\n', 'name = "body"\nsides = [[0, 1], [0, 1], [1, 0]]\n', "parts[0].sides"),
     "elevation": ("[0, 90]\n", "[0, 90]\n[views]\nelevation = [10, 100]\n", "views.elevation: is 10 to 100"),
     "azimuth": ("limits = [0, 90]\n", "limits = [0, 90]\n[views]\nazimuth = 270\n", "views.azimuth: is 270"),
     "swap": ("metres", 'swap_symmetry = "no"\nmetres', "swap_symmetry: is 'no'; give true or false"),

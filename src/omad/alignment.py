@@ -44,15 +44,17 @@ def align(labellings: Sequence[RawArticulation], category: Category) -> ObjectMo
                 f"category {category.name}: joint {joint.name!r} is {joint.type} and cannot rest {rule!r};"
                 " change its spec"
             )
-    for raw in labellings:
-        if _is_canonical(raw, category):
-            return _finished(_as_model(raw, category), category)
-    best = max(
-        (candidate for raw in labellings for candidate in _candidates(raw, category)),
-        key=lambda candidate: candidate.score,
-    ).model
+    canonical = [_as_model(raw, category) for raw in labellings if _is_canonical(raw, category)]
+    best = (
+        canonical[0]
+        if canonical
+        else max(
+            (candidate for raw in labellings for candidate in _candidates(raw, category)),
+            key=lambda candidate: candidate.score,
+        ).model
+    )
     _check(best, category)
-    return _finished(best, category)
+    return _settled(_limited(best, category).centred())
 
 
 def _is_canonical(raw: RawArticulation, category: Category) -> bool:
@@ -72,12 +74,7 @@ def _is_canonical(raw: RawArticulation, category: Category) -> bool:
         and outside < EXACT
         and min(along) > 0.9
         and _agreement(model, category).min() > LEAST_AGREEMENT
-        and _travel(model, category).min() > LEAST_TRAVEL
     )
-
-
-def _finished(model: ObjectModel, category: Category) -> ObjectModel:
-    return _settled(_limited(model, category).centred())
 
 
 @dataclass(frozen=True)
@@ -210,6 +207,14 @@ def _spec_limits(category: Category) -> np.ndarray:
 def _check(model: ObjectModel, category: Category) -> None:
     if _agreement(model, category).min() < LEAST_AGREEMENT:
         raise InputError(f"its parts do not lie to each other as those of a {category.name} do")
+    sizes = np.ptp(model.part_boxes(), axis=1) / model.diagonal
+    for part, size in zip(category.parts, sizes, strict=True):
+        for letter, share, (least, most) in zip("xyz", size, part.sides or (), strict=False):
+            if not least <= share <= most:
+                raise InputError(
+                    f"its {part.name} spans {share:.2f} of the object's diagonal along {letter},"
+                    f" that of a {category.name} {least:g} to {most:g}"
+                )
     for joint, share in enumerate(_travel(model, category)):
         if share < LEAST_TRAVEL:
             low, high = model.limits[joint]

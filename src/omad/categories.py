@@ -19,6 +19,9 @@ class PartSpec:
     """Index of the part that is this one's image in the plane x = 0 (itself, another, or None: no mirror)."""
     aliases: tuple[str, ...] = ()
     """Link and semantic names that foreign models use for this part; matched as lower-case substrings."""
+    sides: tuple[tuple[float, float], tuple[float, float], tuple[float, float]] | None = None
+    """Least and largest extent along x, y and z at rest, as shares of the whole object's diagonal: a foreign model
+    outside of them is of another kind."""
 
 
 @dataclass(frozen=True)
@@ -101,8 +104,16 @@ LAPTOP = Category(
     name="laptop",
     metres_per_unit=0.28,
     parts=(
-        PartSpec("base", 12, mirror=0, aliases=("base", "bottom", "keyboard")),
-        PartSpec("screen", 12, mirror=1, aliases=("screen", "top", "lid", "display")),
+        PartSpec(
+            "base", 12, mirror=0, aliases=("base", "bottom", "keyboard"), sides=((0.4, 1.0), (0.0, 0.25), (0.25, 0.8))
+        ),
+        PartSpec(
+            "screen",
+            12,
+            mirror=1,
+            aliases=("screen", "top", "lid", "display"),
+            sides=((0.4, 1.0), (0.2, 0.8), (0.0, 0.25)),
+        ),
     ),
     joints=(
         JointSpec(
@@ -122,8 +133,10 @@ DISHWASHER = Category(
     name="dishwasher",
     metres_per_unit=0.57,
     parts=(
-        PartSpec("body", 12, mirror=0, aliases=("body", "cabinet", "frame")),
-        PartSpec("door", 12, mirror=1, aliases=("door",)),
+        PartSpec(
+            "body", 12, mirror=0, aliases=("body", "cabinet", "frame"), sides=((0.2, 0.85), (0.25, 0.95), (0.2, 0.85))
+        ),
+        PartSpec("door", 12, mirror=1, aliases=("door",), sides=((0.2, 0.85), (0.2, 0.95), (0.0, 0.35))),
     ),
     joints=(
         JointSpec(
@@ -143,7 +156,13 @@ DRAWER = Category(
     name="drawer",
     metres_per_unit=0.45,
     parts=(
-        PartSpec("cabinet", 12, mirror=0, aliases=("cabinet", "body", "frame", "base")),
+        PartSpec(
+            "cabinet",
+            12,
+            mirror=0,
+            aliases=("cabinet", "body", "frame", "base"),
+            sides=((0.2, 0.95), (0.2, 0.95), (0.15, 0.85)),
+        ),
         PartSpec("top_drawer", 8, mirror=1, aliases=("drawer",)),
         PartSpec("middle_drawer", 8, mirror=2, aliases=("drawer",)),
         PartSpec("bottom_drawer", 8, mirror=3, aliases=("drawer",)),
@@ -160,9 +179,19 @@ EYEGLASSES = Category(
     name="eyeglasses",
     metres_per_unit=0.11,
     parts=(
-        PartSpec("frame", 16, mirror=0, aliases=("frame", "glass", "body", "base", "lens")),
-        PartSpec("right_temple", 8, mirror=2, aliases=("leg", "temple", "arm")),
-        PartSpec("left_temple", 8, mirror=1, aliases=("leg", "temple", "arm")),
+        PartSpec(
+            "frame",
+            16,
+            mirror=0,
+            aliases=("frame", "glass", "body", "base", "lens"),
+            sides=((0.35, 1.0), (0.05, 0.6), (0.0, 0.45)),
+        ),
+        PartSpec(
+            "right_temple", 8, mirror=2, aliases=("leg", "temple", "arm"), sides=((0.0, 0.3), (0.0, 0.4), (0.25, 0.95))
+        ),
+        PartSpec(
+            "left_temple", 8, mirror=1, aliases=("leg", "temple", "arm"), sides=((0.0, 0.3), (0.0, 0.4), (0.25, 0.95))
+        ),
     ),
     joints=(
         JointSpec(
@@ -192,8 +221,15 @@ SCISSORS = Category(
     name="scissors",
     metres_per_unit=0.11,
     parts=(
-        PartSpec("blade", 12, aliases=("blade", "handle", "leg", "scissor")),
-        PartSpec("other_blade", 12, aliases=("blade", "handle", "leg", "scissor")),
+        PartSpec(
+            "blade", 12, aliases=("blade", "handle", "leg", "scissor"), sides=((0.05, 0.7), (0.0, 0.3), (0.4, 1.0))
+        ),
+        PartSpec(
+            "other_blade",
+            12,
+            aliases=("blade", "handle", "leg", "scissor"),
+            sides=((0.05, 0.7), (0.0, 0.3), (0.4, 1.0)),
+        ),
     ),
     joints=(
         JointSpec(

@@ -81,7 +81,8 @@ def import_folder(
     if models:
         save(contact_sheet(models), output / PICTURE)
     summary = ImportSummary([model.name for model in models], refused, notes)
-    record.finish(summary)
+    if models or record.file.is_file():
+        record.finish(summary)
     return summary
 
 

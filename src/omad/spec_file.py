@@ -39,7 +39,7 @@ T = TypeVar("T")
 _NAME = re.compile(r"[A-Za-z0-9][\w.-]*")
 _DIRECTION = re.compile(r"([+-]?[xyz])+")
 _TOP = {"name", "metres_per_unit", "parts", "views", "basis_size", "swap_symmetry", "source_names"}
-_PART = {"name", "keypoints", "mirror", "aliases", "joint"}
+_PART = {"name", "keypoints", "mirror", "aliases", "sides", "joint"}
 _JOINT = {"name", "type", "parent", "axis", "limits", "reach", "side", "rest"}
 _VIEWS = {"azimuth", "elevation", "roll"}
 
@@ -143,7 +143,18 @@ def _part(table: _Table, index: int, names: list[str]) -> PartSpec:
         keypoints=table.whole("keypoints", KEYPOINTS),
         mirror=None if mirror is None else index if mirror == "self" else names.index(mirror),
         aliases=tuple(alias.lower() for alias in table.words("aliases", (names[index],))),
+        sides=_sides(table),
     )
+
+
+def _sides(table: _Table) -> tuple[tuple[float, float], tuple[float, float], tuple[float, float]] | None:
+    value = table.values.get("sides")
+    if value is None:
+        return None
+    if isinstance(value, list) and len(value) == 3 and all(_is_range(side) and side[0] >= 0 for side in value):
+        x, y, z = ((float(low), float(high)) for low, high in value)
+        return x, y, z
+    table.refuse("sides", f"is {_shown(value)}; give three ranges [least, most], along x, y and z, from 0 to 1")
 
 
 def _joint(table: _Table, index: int, names: list[str], metres_per_unit: float) -> JointSpec:
@@ -262,10 +273,9 @@ class _Table:
             self.refuse(field, f"is missing; give {need}")
         if not isinstance(value, list | tuple) or len(value) != 2 or not all(map(_is_number, value)):
             self.refuse(field, f"is {_shown(value)}; give {need}")
-        low, high = map(float, value)
-        if not low < high:
+        if not _is_range(value):
             self.refuse(field, f"is {_shown(value)}; give the low end first, and a range that is not empty")
-        return low, high
+        return float(value[0]), float(value[1])
 
     def direction(self, field: str) -> tuple[float, float, float]:
         """Three numbers, or letters such as "+y" and "+y-z"."""
@@ -298,6 +308,10 @@ class _Table:
         if not value or not isinstance(value, list):
             self.refuse(field, "must be a list of tables, one a part, the base first")
         return [_Table(self.path, f"{self.place}{field}[{i}].", inner, known) for i, inner in enumerate(value)]
+
+
+def _is_range(value: Any) -> bool:
+    return isinstance(value, list | tuple) and len(value) == 2 and all(map(_is_number, value)) and value[0] < value[1]
 
 
 def _is_number(value: Any) -> bool:
