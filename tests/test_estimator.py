@@ -51,10 +51,15 @@ def test_five_lines(estimator):
 def test_a_batch_gives_what_single_calls_give(estimator):
     observations = [observe(view) for view in some_views(estimator)]
     together = estimator(observations)
+    differences = []
     for one, observation in zip(together, observations, strict=True):
         alone = estimator(observation)
-        assert np.allclose(alone.keypoints, one.keypoints, atol=2e-4)
+        difference = np.linalg.norm(alone.keypoints - one.keypoints, axis=1)
+        # a rounding error may put a point on the other side of a neighbourhood's border, which moves keypoints a little
+        assert (difference < 0.1 * one.keypoint_std).all()
         assert np.allclose(alone.joint_states, one.joint_states, atol=2e-3)
+        differences.append(difference)
+    assert np.median(differences) < 1e-5
 
 
 def test_the_same_input_gives_the_same_answer(estimator):
