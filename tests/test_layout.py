@@ -38,8 +38,6 @@ ORDER = [
     "sources.procedural.dishwasher",
     "sources.procedural.scissors",
     "sources.procedural.drawer",
-    "sources.procedural.eyeglasses",
-    "sources.procedural.scissors",
     "sources.procedural",
     "render",
     "standard_views",
