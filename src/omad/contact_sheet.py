@@ -34,7 +34,7 @@ def contact_sheet(models: Sequence[ObjectModel]) -> Figure:
         far = np.abs(model.limits).argmax(1)
         opened = np.take_along_axis(model.limits, far[:, None], 1)[:, 0]
         for below, states in enumerate((np.zeros(len(opened)), opened)):
-            panels[2 * row + below, column].imshow(_picture(model, states))
+            panels[2 * row + below, column].imshow(picture(model, states))
         panels[2 * row, column].set_title(model.name, fontsize=8)
     left = f"; {len(models) - len(shown)} more are not shown" if len(models) > len(shown) else ""
     fig.suptitle(f"{models[0].category}: at rest, and opened{left}")
@@ -42,15 +42,17 @@ def contact_sheet(models: Sequence[ObjectModel]) -> Figure:
     return fig
 
 
-def _picture(model: ObjectModel, states: np.ndarray) -> np.ndarray:
-    """(H, W, 3) of the whole object."""
+def picture(
+    model: ObjectModel, states: np.ndarray, azimuth: float = AZIMUTH, elevation: float = ELEVATION
+) -> np.ndarray:
+    """(H, W, 3) of the whole object; angles in radians, from its front and its horizon."""
     size = STANDARD_CAMERA.height // 2
     camera = Camera(size, size, 2.0 * size, 2.0 * size, (size - 1) / 2, (size - 1) / 2)
     vertices = np.concatenate(model.posed_vertices(states))
     centre = (vertices.min(0) + vertices.max(0)) / 2
     radius = float(np.linalg.norm(vertices - centre, axis=1).max())
     T = np.eye(4)
-    angles = [torch.tensor([angle], dtype=torch.float64) for angle in (AZIMUTH, ELEVATION, 0.0)]
+    angles = [torch.tensor([angle], dtype=torch.float64) for angle in (azimuth, elevation, 0.0)]
     T[:3, :3] = look_at(*angles)[0].numpy()
     T[:3, 3] = (0, 0, 4.2 * radius) - T[:3, :3] @ centre
     return shaded(render(model, states, T, camera))
