@@ -14,6 +14,7 @@ REPOSITORY = ROOT.parents[1]
 ORDER = [
     "errors",
     "ancsh",
+    "experiments",
     "geometry",
     "kinematics",
     "categories",
@@ -84,6 +85,10 @@ ORDER = [
     "contact_sheet",
     "importing",
     "evaluation",
+    "experiments.paper",
+    "experiments.box_iou",
+    "experiments.predictions",
+    "experiments.table1",
     "keypoint_check",
     "view_check",
     "demo",
@@ -93,6 +98,7 @@ ORDER = [
     "commands_import",
     "commands_train",
     "commands_eval",
+    "commands_tables",
     "cli",
     "__main__",
 ]

@@ -18,6 +18,7 @@ import tyro
 from . import commands as c
 from . import commands_eval as e
 from . import commands_import as i
+from . import commands_tables as b
 from . import commands_train as t
 from .errors import InputError, WorkError
 from .tables import readable
@@ -36,7 +37,8 @@ _Train = Annotated[
 _Eval = Annotated[
     Annotated[e.EvalPose, _name("pose")]
     | Annotated[e.EvalKeypoints, _name("keypoints")]
-    | Annotated[e.EvalViews, _name("views")],
+    | Annotated[e.EvalViews, _name("views")]
+    | Annotated[b.EvalTable1, _name("table1")],
     _name("eval", description="Measure accuracy on objects with known truth."),
 ]
 _Command = (

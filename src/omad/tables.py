@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,8 @@ def readable(answer: dict[str, Any]) -> str:
     """Text for one command's JSON object."""
     if "results" in answer and answer["results"] and "truth" in answer["results"][0]:
         return demo_table(answer)
+    if "comparison" in answer:
+        return table1_text(answer)
     if "by_object" in answer:
         return pose_table(answer)
     if "joints" in answer:
@@ -133,6 +136,37 @@ def pose_table(answer: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
+def table1_text(answer: dict[str, Any]) -> str:
+    """The paper's Table 1, the paper's own figures under ours."""
+    head = ["category", "method", "joint state (°, u)", "axis (°)", "axis distance (u)", "rotation (°)", "IoU"]
+    rows = [[*head, "missing", "time (ms)"]]
+    for line in answer["rows"]:
+        seconds, paper = line["seconds"]["total"], line["paper"]
+        rows.append(
+            [
+                line["category"],
+                line["method"],
+                _numbers(line["joint_state"]),
+                _numbers(line["axis_error_deg"]),
+                _numbers(line["axis_distance"]),
+                _numbers(line["rotation_error_deg"]),
+                _numbers(line["iou"]),
+                str(line["missing"]),
+                "-" if seconds is None else f"{1000 * seconds:.1f}",
+            ]
+        )
+        if paper:
+            figures = (_numbers(paper[key]) for key in ("joint_state", "axis_deg", "axis_distance"))
+            rows.append(["", "  in the paper", *figures, "-", "-", "-", f"{1000 * paper['seconds']:.0f}"])
+    lines = [f"{answer['source']}, one image at a time on {answer['machine']}; means", table(rows)]
+    for name, found in answer["comparison"].items():
+        if found:
+            times = (f"{found[key]:.1f}" for key in ("alignment_over_refinement", "end_to_end") if found[key])
+            lines.append(f"{name}: A-NCSH takes (alignment, end to end) {', '.join(times)} times as long")
+    lines += [f"left out {r['category']} {r['method']}: {r['reason']}" for r in answer["left_out"]]
+    return "\n".join(lines)
+
+
 def table(rows: list[list[str]]) -> str:
     """Columns padded to the same width; the first row is the head."""
     widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
@@ -143,6 +177,11 @@ def table(rows: list[list[str]]) -> str:
 def _spread(error: dict[str, float], factor: float, unit: str) -> str:
     digits = 1 if unit == "°" else 3
     return " / ".join(f"{factor * error[key]:.{digits}f}{unit}" for key in ("mean", "median", "p90"))
+
+
+def _numbers(values: Sequence[float | None]) -> str:
+    known = [value for value in values if value is not None]
+    return ", ".join(f"{value:.1f}" if abs(value) >= 2 else f"{value:.3f}" for value in known) or "-"
 
 
 def _state(value: float | None, turns: bool) -> str:
