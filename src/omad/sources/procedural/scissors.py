@@ -22,6 +22,8 @@ class _Blade:
     """How far the cutting edge lies beyond x = 0."""
     point: float
     """Width of the tip as a share."""
+    offset: float
+    """Of the tip from x = 0, as a share of its width."""
     taper: float
     """Exponent: below 1 the blade keeps its width till late."""
     curve: float
@@ -87,8 +89,9 @@ def _draw(rng: np.random.Generator) -> _Blade:
     return _Blade(
         length=length,
         width=width,
-        inset=width * rng.uniform(0.02, 0.45),
+        inset=width * rng.uniform(0.05, 0.65),
         point=rng.uniform(0.03, 0.45),
+        offset=rng.normal(0.0, 0.2),
         taper=rng.uniform(0.45, 1.3),
         curve=rng.normal(0.0, 0.06) * (rng.random() < 0.25),
         thickness=rng.uniform(0.001, 0.0035),
@@ -101,7 +104,7 @@ def _draw(rng: np.random.Generator) -> _Blade:
         egg=rng.uniform(-0.25, 0.25),
         flat=rng.uniform(0.0, 0.9) * (rng.random() < 0.6),
         square=rng.uniform(1.9, 3.2),
-        gap=rng.uniform(0.0, 0.008),
+        gap=rng.uniform(-0.003, 0.008),
         bar=rng.uniform(0.0025, 0.005) if rng.random() < 0.35 else rng.uniform(0.004, 0.011),
         bar_height=rng.uniform(0.003, 0.013),
         shoulder=rng.uniform(0.7, 1.3) if rng.random() < 0.5 else rng.uniform(1.3, 2.6),
@@ -140,7 +143,7 @@ def _blade(blade: _Blade, level: float) -> Mesh:
     width = blade.width * (blade.point + (1 - blade.point) * (1 - along ** (1 / blade.taper)))
     width[0] *= 0.7
     width[-1] *= 0.6
-    edge = -blade.inset * (1 - along) - 0.1 * blade.point * blade.width * along
+    edge = -blade.inset * (1 - along) - (0.5 - blade.offset) * width[-1] * along  # closed, the tips meet
     y = level + blade.curve * blade.length * along**2
     half = 0.5 * blade.thickness * (1 - 0.4 * along)
     z = u * blade.length
