@@ -25,7 +25,7 @@ from .experiments.predictions import (
     save_truths,
     weights_identity,
 )
-from .experiments.table1 import comparison, machine, rows
+from .experiments.table1 import comparison, rows
 from .files import make_folder
 from .options import BrokenFiles, Device, Json, Result, Seed, check_positive
 from .sources.select import load_views
@@ -79,7 +79,6 @@ class EvalTable1:
             "source": self.source,
             "depth_noise": self.depth_noise,
             "seed": self.seed,
-            "machine": machine(),
             "rows": lines,
             "comparison": compared,
             "left_out": left_out,

@@ -142,23 +142,26 @@ def table1_text(answer: dict[str, Any]) -> str:
     rows = [[*head, "missing", "time (ms)"]]
     for line in answer["rows"]:
         seconds, paper = line["seconds"]["total"], line["paper"]
+        state_digits = 3 if None in line["axis_distance"] else 1  # lengths, or degrees
         rows.append(
             [
                 line["category"],
                 line["method"],
-                _numbers(line["joint_state"]),
-                _numbers(line["axis_error_deg"]),
-                _numbers(line["axis_distance"]),
-                _numbers(line["rotation_error_deg"]),
-                _numbers(line["iou"]),
+                _numbers(line["joint_state"], state_digits),
+                _numbers(line["axis_error_deg"], 1),
+                _numbers(line["axis_distance"], 3),
+                _numbers(line["rotation_error_deg"], 1),
+                _numbers(line["iou"], 2),
                 str(line["missing"]),
                 "-" if seconds is None else f"{1000 * seconds:.1f}",
             ]
         )
         if paper:
-            figures = (_numbers(paper[key]) for key in ("joint_state", "axis_deg", "axis_distance"))
+            digits = {"joint_state": state_digits, "axis_deg": 1, "axis_distance": 3}
+            figures = (_numbers(paper[key], count) for key, count in digits.items())
             rows.append(["", "  in the paper", *figures, "-", "-", "-", f"{1000 * paper['seconds']:.0f}"])
-    lines = [f"{answer['source']}, one image at a time on {answer['machine']}; means", table(rows)]
+    machines = sorted({line["seconds"]["machine"] for line in answer["rows"]})
+    lines = [f"{answer['source']}, means; time of one image at a time on {' and '.join(machines)}", table(rows)]
     for name, found in answer["comparison"].items():
         if found:
             times = (f"{found[key]:.1f}" for key in ("alignment_over_refinement", "end_to_end") if found[key])
@@ -179,9 +182,8 @@ def _spread(error: dict[str, float], factor: float, unit: str) -> str:
     return " / ".join(f"{factor * error[key]:.{digits}f}{unit}" for key in ("mean", "median", "p90"))
 
 
-def _numbers(values: Sequence[float | None]) -> str:
-    known = [value for value in values if value is not None]
-    return ", ".join(f"{value:.1f}" if abs(value) >= 2 else f"{value:.3f}" for value in known) or "-"
+def _numbers(values: Sequence[float | None], digits: int) -> str:
+    return ", ".join(f"{value:.{digits}f}" for value in values if value is not None) or "-"
 
 
 def _state(value: float | None, turns: bool) -> str:

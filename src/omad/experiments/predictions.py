@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import platform
 import sys
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -16,6 +17,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
+import torch
 from tqdm import tqdm
 
 from ..categories import Category
@@ -61,6 +63,13 @@ class Predictions:
     refined: tuple[ObjectPose, ...]
     seconds: np.ndarray
     """(V, 3) of network, refinement, and all together; one image at a time. NaN where there was nothing to estimate."""
+    machine: str
+    """What the times are of."""
+
+
+def this_machine() -> str:
+    """Processor and threads, as predictions record them."""
+    return f"{platform.processor() or platform.machine()}, {torch.get_num_threads()} thread(s)"
 
 
 def weights_identity(folder: Path) -> str:
@@ -122,6 +131,7 @@ def predict(
                     for answer, s in said
                 ]
             ),
+            machine=this_machine(),
         )
         for name, said in answers.items()
     }
@@ -149,7 +159,8 @@ def load_truths(path: Path, identity: Identity) -> Truths | None:
 
 
 def save_predictions(path: Path, said: Predictions, identity: Identity) -> None:
-    _save(path, identity, seconds=said.seconds, **_arrays("initial", said.initial), **_arrays("refined", said.refined))
+    poses = _arrays("initial", said.initial) | _arrays("refined", said.refined)
+    _save(path, identity, seconds=said.seconds, machine=np.array(said.machine), **poses)
 
 
 def load_predictions(path: Path, identity: Identity) -> Predictions | None:
@@ -157,7 +168,8 @@ def load_predictions(path: Path, identity: Identity) -> Predictions | None:
     arrays = _load(path, identity)
     if arrays is None:
         return None
-    return Predictions(_poses("initial", arrays), _poses("refined", arrays), arrays["seconds"])
+    seconds, machine = arrays["seconds"], str(arrays["machine"])
+    return Predictions(_poses("initial", arrays), _poses("refined", arrays), seconds, machine)
 
 
 def _arrays(prefix: str, poses: Sequence[ObjectPose]) -> dict[str, np.ndarray]:

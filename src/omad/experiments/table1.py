@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import platform
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
-import torch
 
 from ..categories import Category
 from ..metrics import ObjectPose, PoseErrors, bootstrap_interval, pose_errors
@@ -21,34 +19,30 @@ def rows(truths: Truths, said: dict[str, Predictions], category: Category) -> li
 
     Means over views, a number per joint or part; angles in degrees, lengths in category units.
     """
-    lines = []
-    if "ancsh" in said:
-        ancsh = said["ancsh"]
-        lines.append(_row("ancsh", truths, ancsh.refined, ancsh.seconds, category))
     omad = said["omad"]
-    first = omad.seconds.copy()
-    first[:, 2] -= first[:, 1]  # without refinement
-    first[:, 1] = 0
-    lines.append(_row("omad_initial", truths, omad.initial, first, category))
-    lines.append(_row("omad_refined", truths, omad.refined, omad.seconds, category))
-    return lines
+    network, refinement, total = omad.seconds.T
+    unrefined = np.stack([network, 0 * refinement, total - refinement], 1)
+    methods = {
+        "ancsh": said.get("ancsh"),
+        "omad_initial": replace(omad, refined=omad.initial, seconds=unrefined),
+        "omad_refined": omad,
+    }
+    return [_row(name, truths, found, category) for name, found in methods.items() if found is not None]
 
 
-def _row(
-    method: str, truths: Truths, poses: tuple[ObjectPose, ...], seconds: np.ndarray, category: Category
-) -> dict[str, Any]:
+def _row(method: str, truths: Truths, said: Predictions, category: Category) -> dict[str, Any]:
     unit = category.metres_per_unit
     turns = np.array(category.revolute)
     errors: list[PoseErrors] = [
         pose_errors(pose, true, boxes, category)
-        for pose, true, boxes in zip(poses, truths.poses, truths.boxes, strict=True)
+        for pose, true, boxes in zip(said.refined, truths.poses, truths.boxes, strict=True)
     ]
     states = np.stack([e.joint_state for e in errors])
     states = np.where(turns, np.degrees(states), states / unit)
     distance = np.stack([e.axis_distance for e in errors]) / unit
     pivot = np.stack([e.pivot_distance for e in errors]) / unit
     paper = TABLE1.get(category.name, {}).get(method)
-    network, refinement, total = (None if np.isnan(c).all() else float(np.nanmedian(c)) for c in seconds.T)
+    network, refinement, total = (None if np.isnan(c).all() else float(np.nanmedian(c)) for c in said.seconds.T)
     return {
         "category": category.name,
         "method": method,
@@ -60,9 +54,9 @@ def _row(
         "pivot_distance": [d if turn else None for d, turn in zip(_means(pivot), turns, strict=True)],
         "rotation_error_deg": _means(np.degrees([e.rotation for e in errors])),
         "translation_error": _means(np.stack([e.translation for e in errors]) / unit),
-        "iou": _means(_ious(truths, poses, category)),
+        "iou": _means(_ious(truths, said.refined, category)),
         "missing": sum(e.missing for e in errors),
-        "seconds": {"network": network, "refinement": refinement, "total": total},
+        "seconds": {"network": network, "refinement": refinement, "total": total, "machine": said.machine},
         "paper": asdict(paper) if paper else None,
     }
 
@@ -77,7 +71,10 @@ def _ious(truths: Truths, poses: tuple[ObjectPose, ...], category: Category) -> 
 
 
 def comparison(lines: list[dict[str, Any]]) -> dict[str, Any] | None:
-    """OMAD's refined answer against A-NCSH's in one category; None where A-NCSH is left out."""
+    """OMAD's refined answer against A-NCSH's in one category; None where A-NCSH is left out.
+
+    Times are compared where they are of the same machine.
+    """
     by_method = {line["method"]: line for line in lines}
     if "ancsh" not in by_method:
         return None
@@ -88,17 +85,13 @@ def comparison(lines: list[dict[str, Any]]) -> dict[str, Any] | None:
         theirs, mine = other["seconds"][key], ours["seconds"][key]
         return theirs / mine if theirs and mine else None
 
+    same = other["seconds"]["machine"] == ours["seconds"]["machine"]
     return {
         "ahead_on_joint_state": all(a < b for a, b in zip(ours["joint_state"], other["joint_state"], strict=True)),
         "ahead_on_axis_distance": all(a < b for a, b in distances) if distances else None,
-        "alignment_over_refinement": ratio("refinement"),
-        "end_to_end": ratio("total"),
+        "alignment_over_refinement": ratio("refinement") if same else None,
+        "end_to_end": ratio("total") if same else None,
     }
-
-
-def machine() -> str:
-    """What the times are of."""
-    return f"{platform.processor() or platform.machine()}, {torch.get_num_threads()} thread(s)"
 
 
 def _means(values: np.ndarray | list[np.ndarray]) -> list[float]:
