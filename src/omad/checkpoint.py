@@ -20,10 +20,12 @@ from .omadnet import OmadNet
 from .pointnet2 import BackboneConfig
 from .prior import OmadPrior
 from .priornet import PriorNet
+from .retrieval.siamese import SiameseNet
 
 FORMAT = 1
 WEIGHTS = Path(__file__).parent / "weights"
-"""Shipped weights: ``<category>/`` is OMADNet, ``<category>/prior/`` is OMAD-PriorNet, ``<category>/ancsh/`` A-NCSH."""
+"""Shipped weights: ``<category>/`` is OMADNet, ``<category>/prior/`` is OMAD-PriorNet, ``<category>/ancsh/`` A-NCSH,
+``<category>/siamese/`` the Siamese network."""
 
 
 def save_net(net: OmadNet, folder: Path, training: dict[str, Any]) -> None:
@@ -39,6 +41,12 @@ def save_priornet(net: PriorNet, folder: Path, training: dict[str, Any]) -> None
 def save_ancsh(net: AncshNet, folder: Path, training: dict[str, Any]) -> None:
     """Write A-NCSH's network with its category."""
     _save(net, folder, {"kind": "ancsh", "backbone": asdict(net.backbone.config)}, net.category, training)
+
+
+def save_siamese(net: SiameseNet, folder: Path, training: dict[str, Any]) -> None:
+    """Write the Siamese network with its category."""
+    kind = {"kind": "siamese", "backbone": asdict(net.backbone.config), "size": net.size}
+    _save(net, folder, kind, net.category, training)
 
 
 def load_net(folder: Path) -> OmadNet:
@@ -67,6 +75,16 @@ def load_ancsh(folder: Path) -> AncshNet:
     config = _read_config(folder, "ancsh")
     try:
         net = AncshNet(category_from_dict(config["category"]), _backbone(config))
+    except Exception as error:
+        raise _wrong_config(folder, error) from error
+    return _load(net, folder)
+
+
+def load_siamese(folder: Path) -> SiameseNet:
+    """Read the Siamese network on the CPU. Raises InputError for anything that is not such a checkpoint."""
+    config = _read_config(folder, "siamese")
+    try:
+        net = SiameseNet(category_from_dict(config["category"]), _backbone(config), config["size"])
     except Exception as error:
         raise _wrong_config(folder, error) from error
     return _load(net, folder)

@@ -31,8 +31,9 @@ _name = tyro.conf.subcommand
 _Train = Annotated[
     Annotated[t.TrainPrior, _name("prior")]
     | Annotated[t.TrainNet, _name("net")]
-    | Annotated[t.TrainAncsh, _name("ancsh")],
-    _name("train", description="Train a category: first its prior, then its network; or the baseline A-NCSH."),
+    | Annotated[t.TrainAncsh, _name("ancsh")]
+    | Annotated[t.TrainSiamese, _name("siamese")],
+    _name("train", description="Train a category: first its prior, then its network; or the baselines."),
 ]
 _Eval = Annotated[
     Annotated[e.EvalPose, _name("pose")]

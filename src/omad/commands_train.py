@@ -11,13 +11,23 @@ import torch
 from . import __version__
 from .ancsh.training import AncshTraining, train_ancsh
 from .categories import Category
-from .checkpoint import find_weights, load_net, load_priornet, save_ancsh, save_net, save_priornet, shipped_categories
+from .checkpoint import (
+    find_weights,
+    load_net,
+    load_priornet,
+    save_ancsh,
+    save_net,
+    save_priornet,
+    save_siamese,
+    shipped_categories,
+)
 from .errors import InputError
 from .objects import SampledObject
 from .omadnet import OmadNet
 from .options import BrokenFiles, CategoryName, Device, Json, Result, Seed, check_category, check_positive
 from .pointnet2 import PAPER_SIZE, SLIM, BackboneConfig
 from .priornet import PriorNet
+from .retrieval.siamese_training import SiameseTraining, train_siamese
 from .runtime import keep_freed_memory, pick_device
 from .sources.select import load_training_objects
 from .spec_file import get_category
@@ -100,6 +110,22 @@ class TrainAncsh(_Training):
         settings = AncshTraining(schedule=schedule, backbone=backbone)
         net = train_ancsh(models, category, self.output, settings, device)
         save_ancsh(net, self.output, self.record(schedule))
+        return 0, {"checkpoint": str(self.output)}
+
+
+@dataclass(frozen=True)
+class TrainSiamese(_Training):
+    """Train the Siamese baseline of retrieval: same views, backbone and schedule as OMADNet, but no prior."""
+
+    size: Literal["slim", "paper"] = "slim"
+    """slim: fast on a CPU; paper: the paper's PointNet++."""
+
+    def run(self) -> Result:
+        backbone = PAPER_SIZE if self.size == "paper" else SLIM
+        category, models, schedule, device = self.prepare(SiameseTraining().schedule)
+        settings = SiameseTraining(schedule=schedule, backbone=backbone)
+        net = train_siamese(models, category, self.output, settings, device)
+        save_siamese(net, self.output, self.record(schedule))
         return 0, {"checkpoint": str(self.output)}
 
 

@@ -131,9 +131,21 @@ def draw_views(
     bank: SurfaceBank, category: Category, batch: int, settings: ViewSettings, generator: torch.Generator
 ) -> ViewBatch:
     """``batch`` random views of random objects of the bank; everything comes from ``generator``."""
-    like = bank.points
-    indices = torch.randint(len(bank), (batch,), device=like.device, generator=generator)
-    scale = uniform(*settings.scale, (batch, 3), like, generator)
+    indices = torch.randint(len(bank), (batch,), device=bank.points.device, generator=generator)
+    scale = uniform(*settings.scale, (batch, 3), bank.points, generator)
+    return draw_views_of(bank, category, indices, scale, settings, generator)
+
+
+def draw_views_of(
+    bank: SurfaceBank,
+    category: Category,
+    indices: Tensor,
+    scale: Tensor,
+    settings: ViewSettings,
+    generator: torch.Generator,
+) -> ViewBatch:
+    """One random view of each of the objects ``indices`` (B,), stretched by ``scale`` (B, 3)."""
+    like, batch = bank.points, len(indices)
     objects = bank.scaled(indices, scale)
     states = sample_states(objects.limits, generator)
 

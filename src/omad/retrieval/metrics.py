@@ -1,0 +1,72 @@
+"""How good rankings are, from which of the ranked things are the same object. Pure functions."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+CUTOFF = 10
+"""Of mAP."""
+
+
+@dataclass(frozen=True)
+class Scores:
+    """Means over queries, each in [0, 1]."""
+
+    map_at_10: float
+    """Sum over hit ranks r <= 10 of precision at r, divided by min(10, number of relevant)."""
+    nearest_neighbour: float
+    """Share of queries whose first answer is right."""
+    first_tier: float
+    """Share of the R relevant things that are among the first R."""
+    second_tier: float
+    """And among the first 2 R."""
+
+
+def rank(distances: np.ndarray, itself: np.ndarray | None = None) -> np.ndarray:
+    """Rows of the gallery (Q, G), nearest first, by ``distances`` (Q, G); NaN is farthest.
+
+    ``itself`` (Q,): the row that is each query itself, which is left out: (Q, G - 1) then.
+    """
+    distances = np.where(np.isnan(distances), np.inf, distances)
+    order = np.argsort(distances, axis=1, kind="stable")
+    if itself is None:
+        return order
+    return order[order != itself[:, None]].reshape(len(order), -1)
+
+
+def average_precision(relevant: np.ndarray) -> np.ndarray:
+    """AP@10 (Q,) of ranked relevance (Q, G) bool; 0 where nothing is relevant."""
+    total = relevant.sum(1)
+    top = relevant[:, :CUTOFF]
+    precision = top.cumsum(1) / np.arange(1, top.shape[1] + 1)
+    return (precision * top).sum(1) / np.clip(np.minimum(CUTOFF, total), 1, None)
+
+
+def tier(relevant: np.ndarray, times: int) -> np.ndarray:
+    """Share (Q,) of the R relevant things among the first ``times`` R of ranked relevance (Q, G) bool."""
+    total = relevant.sum(1)
+    within = np.arange(relevant.shape[1]) < times * total[:, None]
+    return (relevant & within).sum(1) / np.clip(total, 1, None)
+
+
+def scores(relevant: np.ndarray) -> Scores:
+    """All metrics of ranked relevance (Q, G) bool."""
+    return Scores(
+        map_at_10=float(average_precision(relevant).mean()),
+        nearest_neighbour=float(relevant[:, 0].mean()),
+        first_tier=float(tier(relevant, 1).mean()),
+        second_tier=float(tier(relevant, 2).mean()),
+    )
+
+
+def chance(relevant: np.ndarray, rng: np.random.Generator, permutations: int = 10) -> Scores:
+    """What random rankings of the same galleries reach."""
+    return mean_scores([scores(rng.permuted(relevant, axis=1)) for _ in range(permutations)])
+
+
+def mean_scores(several: list[Scores]) -> Scores:
+    """Mean of each metric."""
+    rows = [asdict(one) for one in several]
+    return Scores(**{name: float(np.mean([row[name] for row in rows])) for name in rows[0]})

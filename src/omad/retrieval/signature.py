@@ -1,0 +1,115 @@
+"""What an object is known by, whatever its pose: beta, how sure it is, and the prior whose language it speaks."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import torch
+
+from ..categories import Category
+from ..errors import InputError
+from ..estimate import Estimate
+from ..objects import SampledObject
+from ..prior import OmadPrior
+from ..priornet import PriorNet
+from ..train_prior import object_keypoints
+from ..views import SurfaceBank
+
+Metric = Literal["keypoints", "beta", "whitened"]
+
+
+@dataclass(frozen=True)
+class Signature:
+    """Shape parameters of one object."""
+
+    prior: str
+    """Fingerprint of the prior that gives beta its meaning."""
+    beta: np.ndarray
+    """(D,)."""
+    covariance: np.ndarray | None = None
+    """(D, D) of beta; None where it is not known."""
+
+
+@dataclass(frozen=True)
+class Space:
+    """Where signatures of one prior are compared: Euclidean distance between ``factor @ beta``."""
+
+    prior: str
+    """Fingerprint."""
+    category: str
+    metric: Metric
+    factor: np.ndarray
+    """(D, D) float64."""
+
+    @classmethod
+    def of(cls, prior: OmadPrior, category: Category, metric: Metric = "keypoints") -> Space:
+        """``keypoints``: RMS distance in metres between canonical keypoints; ``beta``: that of plain beta, as in the
+        paper; ``whitened``: in standard deviations of beta over the prior's training objects."""
+        size = prior.basis_size
+        if metric == "keypoints":
+            basis = prior.basis.detach().double().reshape(-1, size).numpy()
+            # |B d| = |R d|, with R of B = QR: as many numbers as beta has, instead of three a keypoint
+            factor = np.linalg.qr(basis, mode="r") * category.metres_per_unit / np.sqrt(category.num_keypoints)
+        elif metric == "whitened":
+            factor = np.linalg.inv(np.linalg.cholesky(prior.beta_covariance.double().numpy()))
+        else:
+            factor = np.eye(size)
+        return cls(prior_fingerprint(prior, category), category.name, metric, factor)
+
+    def check(self, signature: Signature) -> None:
+        """Raises InputError where the signature speaks another prior's language."""
+        if signature.prior != self.prior:
+            raise InputError(
+                f"the signature is of prior {signature.prior}, the index of prior {self.prior} ({self.category}):"
+                " their betas do not compare; use the weights that made the index, or build it anew"
+            )
+        if signature.beta.shape != (len(self.factor),):
+            raise InputError(f"beta: expected shape ({len(self.factor)},), got {signature.beta.shape}")
+        if not np.isfinite(signature.beta).all():
+            raise InputError("beta: holds numbers that are not finite; estimate the object anew")
+
+
+def prior_fingerprint(prior: OmadPrior, category: Category) -> str:
+    """Tells one prior from another: 16 hexadecimal digits of the category's parts and unit, and of the basis."""
+    parts = [(part.name, part.keypoints, part.mirror) for part in category.parts]
+    digest = hashlib.sha256(repr((category.name, category.metres_per_unit, parts)).encode())
+    digest.update(np.ascontiguousarray(prior.learned_basis.detach().cpu().numpy(), dtype="<f4").tobytes())
+    return digest.hexdigest()[:16]
+
+
+def estimate_signature(estimate: Estimate, prior: str) -> Signature:
+    """Of an observed object; ``prior`` is the fingerprint of the estimator's."""
+    size = len(estimate.beta)
+    covariance = estimate.covariance[-size:, -size:]
+    return Signature(prior, estimate.beta, covariance if np.isfinite(covariance).all() else None)
+
+
+@torch.no_grad()
+def model_signatures(net: PriorNet, models: Sequence[SampledObject]) -> list[Signature]:
+    """Of object models: PriorNet's keypoints on their surface, in the language of the basis. No view is needed."""
+    category = net.category
+    prior = prior_fingerprint(net.prior, category)
+    bank = SurfaceBank.from_models(models, category).to(net.prior.basis.device)
+    betas = net.prior.encode(object_keypoints(net, bank)).cpu().double().numpy()
+    return [Signature(prior, beta) for beta in betas]
+
+
+def fuse(signatures: Sequence[Signature]) -> Signature:
+    """One object's signature from several views of it: the mean, each weighted by its information (inverse covariance)
+    where all have one. Raises InputError for none, and for signatures of several priors."""
+    if not signatures:
+        raise InputError("no view to take a signature from; give at least one")
+    if len({signature.prior for signature in signatures}) > 1:
+        raise InputError("the views' signatures are of several priors; estimate all with the same weights")
+    betas = np.stack([signature.beta for signature in signatures])
+    covariances = [signature.covariance for signature in signatures if signature.covariance is not None]
+    if len(covariances) < len(signatures):
+        return Signature(signatures[0].prior, betas.mean(0))
+    information = np.linalg.inv(np.stack(covariances))
+    covariance = np.linalg.inv(information.sum(0))
+    beta = covariance @ np.einsum("vij,vj->i", information, betas)
+    return Signature(signatures[0].prior, beta, covariance)
