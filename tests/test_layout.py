@@ -102,6 +102,7 @@ ORDER = [
     "view_check",
     "demo",
     "tables",
+    "inputs",
     "options",
     "commands",
     "commands_import",

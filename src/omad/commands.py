@@ -22,17 +22,8 @@ from .demo import run_demo
 from .depth_noise import LEVELS
 from .errors import InputError
 from .estimator import Estimator
-from .files import (
-    CLOUD_FORMATS,
-    DEPTH_FORMATS,
-    is_cloud,
-    read_cloud,
-    read_depth,
-    read_intrinsics,
-    read_mask,
-    write_atomic,
-)
-from .observation import Observation
+from .files import write_atomic
+from .inputs import InputReader, input_files
 from .options import CategoryName, Device, Json, Result, Seed, Weights, check_category, check_positive
 from .report import describe, figure, save
 from .runtime import pick_device
@@ -98,9 +89,9 @@ class Estimate:
 
     def run(self) -> Result:
         check_positive(depth_scale=self.depth_scale)
-        files = _input_files(self.inputs)
+        files = input_files(self.inputs)
         one = len(self.inputs) == 1 and files[0] == self.inputs[0]
-        reader = _Reader.of(self, files)
+        reader = InputReader.of(self, files)
         estimator = Estimator.from_pretrained(self.weights or self.category, self.device)
         check_category("--weights", self.weights, estimator.category, self.category)
         results, refused = [], []
@@ -129,53 +120,6 @@ class Estimate:
             results.append({"input": str(file), "output": str(folder), **estimate.to_dict()})
         code = 2 if refused else 0 if any(result["converged"] for result in results) else 1
         return code, results[0] if one else {"results": results, "refused": refused}
-
-
-@dataclass(frozen=True)
-class _Reader:
-    """Reads inputs as the options of ``estimate`` say."""
-
-    K: np.ndarray | None
-    mask: np.ndarray | Path | None
-    """Of every input, or the folder of theirs."""
-    box: list[float] | None
-    segment: Literal["plane"] | None
-    depth_scale: float | None
-
-    @classmethod
-    def of(cls, options: Estimate, files: list[Path]) -> _Reader:
-        """Read what holds for all inputs. Raises InputError where that is wrong whatever the input."""
-        if options.intrinsics is None and not any(is_cloud(file) for file in files):
-            _existing(files[0])
-            raise InputError(f"{files[0]}: a depth image needs --intrinsics fx,fy,cx,cy or a file with them")
-        mask = options.mask
-        return cls(
-            K=None if options.intrinsics is None else read_intrinsics(options.intrinsics),
-            mask=mask if mask is None or mask.is_dir() else read_mask(mask),
-            box=None if options.box is None else _numbers(options.box, 4, "--box"),
-            segment=options.segment,
-            depth_scale=options.depth_scale,
-        )
-
-    def __call__(self, file: Path) -> Observation:
-        """One input. Raises InputError with its name."""
-        _existing(file)
-        try:
-            return self._cloud(file) if is_cloud(file) else self._depth(file)
-        except InputError as error:
-            raise InputError(str(error) if str(file) in str(error) else f"{file}: {error}") from error
-
-    def _cloud(self, file: Path) -> Observation:
-        if self.mask is not None or self.box is not None:
-            raise InputError("--mask and --box need a depth image; cut the cloud out, or use --segment plane")
-        return Observation.from_points(read_cloud(file) * (self.depth_scale or 1.0), segment=self.segment)
-
-    def _depth(self, file: Path) -> Observation:
-        depth = read_depth(file, self.depth_scale)
-        if self.K is None:
-            raise InputError("a depth image needs --intrinsics fx,fy,cx,cy or a file with them")
-        mask = read_mask(_mask_of(file, self.mask)) if isinstance(self.mask, Path) else self.mask
-        return Observation.from_depth(depth, self.K, mask, self.box, self.segment)
 
 
 @dataclass(frozen=True)
@@ -284,35 +228,6 @@ class Info:
         }
 
 
-def _input_files(paths: Sequence[Path]) -> list[Path]:
-    """Files given, and those in folders given; each once."""
-    if not paths:
-        raise InputError("no input; give a depth image, a cloud, or a folder of them")
-    known = sorted({*DEPTH_FORMATS, *CLOUD_FORMATS} - {".txt"})  # a text file in a folder is no cloud but a note
-    files: list[Path] = []
-    for path in paths:
-        inside = [path]
-        if path.is_dir():
-            inside = sorted(p for p in path.glob("[!.]*") if p.suffix.lower() in known and p.is_file())
-        if not inside:
-            raise InputError(f"{path}: no depth image or cloud in it; known: {' '.join(known)}")
-        files += inside
-    return list({os.path.abspath(file): file for file in files}.values())
-
-
-def _existing(file: Path) -> None:
-    if not file.is_file():
-        raise InputError(f"{file}: no such file or folder; give a depth image, a cloud, or a folder of them")
-
-
-def _mask_of(file: Path, folder: Path) -> Path:
-    """The mask of an input in a folder of masks: that with the input's name, whatever its extension."""
-    masks = sorted(mask for mask in folder.iterdir() if mask.stem == file.stem)
-    if not masks:
-        raise InputError(f"{folder}: no mask for {file} in it; name masks like the inputs")
-    return masks[0]
-
-
 def _folder_names(files: Sequence[Path]) -> list[str]:
     """A folder's name for each file: its stem, or where files share that, a longer name that tells them apart."""
     places = [Path(os.path.abspath(file)) for file in files]
@@ -324,16 +239,6 @@ def _folder_names(files: Sequence[Path]) -> list[str]:
         if len(set(names)) == len(names):
             return names
     return [f"{number:05d}-{place.name}" for number, place in enumerate(places)]
-
-
-def _numbers(text: str, count: int, name: str) -> list[float]:
-    try:
-        values = [float(word) for word in text.split(",")]
-    except ValueError:
-        values = []
-    if len(values) != count:
-        raise InputError(f"{name} {text}: expected {count} numbers with commas between them")
-    return values
 
 
 def _write_text(path: Path, text: str) -> None:

@@ -5,6 +5,7 @@ FAISS is an extra (``pip install 'omad[faiss]'``); nothing else needs it.
 
 from __future__ import annotations
 
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -54,7 +55,6 @@ class GraphSearch:
 
 def _faiss() -> Any:
     try:
-        import faiss
+        return import_module("faiss")
     except ImportError as error:
         raise InputError("FAISS is not installed: pip install 'omad[faiss]', or search exactly") from error
-    return faiss

@@ -53,7 +53,7 @@ class Space:
         if metric == "keypoints":
             basis = prior.basis.detach().double().reshape(-1, size).numpy()
             # |B d| = |R d|, with R of B = QR: as many numbers as beta has, instead of three a keypoint
-            factor = np.linalg.qr(basis, mode="r") * category.metres_per_unit / np.sqrt(category.num_keypoints)
+            factor = np.linalg.qr(basis).R * category.metres_per_unit / np.sqrt(category.num_keypoints)
         elif metric == "whitened":
             factor = np.linalg.inv(np.linalg.cholesky(prior.beta_covariance.double().numpy()))
         else:
