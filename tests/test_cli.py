@@ -174,11 +174,14 @@ def test_info(capsys):
     assert set(found["weights"]) <= set(found["categories"])
 
 
+SHARES = ("within_5deg_5percent", "flipped", "swapped")
+
+
 def errors_have_the_promised_keys(errors: dict, revolute: list[bool], parts: int) -> None:
     spread = {"mean", "median", "p90"}
     always = ("joint_state_error_deg", "joint_state_error", "axis_error_deg", "axis_distance", "pivot_distance")
-    assert set(errors) == {*always, "rotation_error_deg", "translation_error", "within_5deg_5percent"}
-    assert 0 <= errors["within_5deg_5percent"] <= 1
+    assert set(errors) == {*always, "rotation_error_deg", "translation_error", *SHARES}
+    assert all(0 <= errors[share] <= 1 for share in SHARES)
     for name in always:
         assert len(errors[name]) == len(revolute)
         for turns, error in zip(revolute, errors[name], strict=True):

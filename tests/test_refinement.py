@@ -172,7 +172,7 @@ def test_kernel_and_torch_agree(category: Category, huber: float | None) -> None
 
 @each_case
 def test_same_optimum_as_scipy(category: Category) -> None:
-    s = scene(category, batch=3, noise=1.0)
+    s = scene(category, batch=3, noise=1.0, seed=1)  # none of whose optima lies on a kink of the joint function's ReLU
     # unlimited, so that plain residuals of keypoints and prior are the whole energy
     s = replace(s, limits=torch.tensor([-WIDE, WIDE], dtype=torch.float64).expand(len(s.limits), 2))
     refined = s.refine(replace(EXACT, prior_weight=1.0))

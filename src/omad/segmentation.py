@@ -51,7 +51,7 @@ def segment_on_plane(points: np.ndarray, inside: np.ndarray | None = None) -> Se
     """Find table, floor and walls in a camera-frame cloud (N, 3) and select the most prominent cluster before them.
 
     ``inside`` (N,) bool says where the object is looked for; the planes are found in the whole cloud. A cluster's
-    weight is its number of points, those in the middle of the frame (or of what is inside) counting most.
+    weight is its squared size, more in the middle of the frame (or of what is inside) than at its border.
     Deterministic: the same cloud gives the same answer.
     """
     inside = np.ones(len(points), dtype=bool) if inside is None else inside
@@ -154,6 +154,15 @@ def _place(points: np.ndarray) -> np.ndarray:
     return np.clip((ray - low) / np.maximum(high - low, 1e-9) * 2 - 1, -1, 1)
 
 
+def _extent(cells: np.ndarray, labels: np.ndarray) -> np.ndarray:
+    """Squared diagonal of the box of each label's cells (N, 3) -> (labels,)."""
+    low = np.full((labels.max() + 1, 3), np.iinfo(np.int64).max)
+    high = np.full((labels.max() + 1, 3), np.iinfo(np.int64).min)
+    np.minimum.at(low, labels, cells)
+    np.maximum.at(high, labels, cells)
+    return np.square(high - low + 1.0).sum(1)
+
+
 def _prominent_cluster(points: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, float]:
     """(N,) bool of the heaviest cluster, with its own outlying pieces, and the next one's share of its weight.
 
@@ -171,7 +180,10 @@ def _prominent_cluster(points: np.ndarray, weights: np.ndarray) -> tuple[np.ndar
     pairs = pairs[dense[pairs].all(1)]
     links = coo_matrix((np.ones(len(pairs)), pairs.T), shape=(len(cells), len(cells)))
     labels = connected_components(links, directed=False)[1]
-    weight = np.bincount(labels[cell_of], weights * dense[cell_of])
+    # size counts, not points: glasses seen from their edge are as much a thing as the box beside them
+    central = np.bincount(labels[cell_of], weights * dense[cell_of])
+    central /= np.maximum(np.bincount(labels[cell_of], dense[cell_of]), 1)
+    weight = central * _extent(cells, labels)
     best = int(weight.argmax())
 
     core = cells[labels == best]
