@@ -10,7 +10,17 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
-__all__ = ["Estimate", "Estimator", "EstimatorConfig", "InputError", "Known", "Observation", "get_category", "show"]
+__all__ = [
+    "Estimate",
+    "Estimator",
+    "EstimatorConfig",
+    "InputError",
+    "Known",
+    "Observation",
+    "ShapeIndex",
+    "get_category",
+    "show",
+]
 
 _HOMES = {
     "Estimate": "estimate",
@@ -19,6 +29,7 @@ _HOMES = {
     "InputError": "errors",
     "Known": "known",
     "Observation": "observation",
+    "ShapeIndex": "retrieval.index",
     "get_category": "spec_file",
     "show": "report",
 }
@@ -30,6 +41,7 @@ if TYPE_CHECKING:
     from .known import Known
     from .observation import Observation
     from .report import show
+    from .retrieval.index import ShapeIndex
     from .spec_file import get_category
 
 

@@ -18,6 +18,7 @@ import tyro
 from . import commands as c
 from . import commands_eval as e
 from . import commands_import as i
+from . import commands_retrieval as r
 from . import commands_tables as b
 from . import commands_train as t
 from .errors import InputError, WorkError
@@ -39,8 +40,13 @@ _Eval = Annotated[
     Annotated[e.EvalPose, _name("pose")]
     | Annotated[e.EvalKeypoints, _name("keypoints")]
     | Annotated[e.EvalViews, _name("views")]
-    | Annotated[b.EvalTable1, _name("table1")],
+    | Annotated[b.EvalTable1, _name("table1")]
+    | Annotated[r.EvalRetrieval, _name("retrieval")],
     _name("eval", description="Measure accuracy on objects with known truth."),
+]
+_Index = Annotated[
+    Annotated[r.IndexBuild, _name("build")] | Annotated[r.IndexQuery, _name("query")],
+    _name("index", description="Which object is this: a catalogue of objects that is asked with a view."),
 ]
 _Command = (
     Annotated[c.Demo, _name("demo")]
@@ -50,6 +56,7 @@ _Command = (
     | Annotated[c.Render, _name("render")]
     | _Train
     | _Eval
+    | _Index
     | Annotated[c.Export, _name("export")]
     | Annotated[c.Info, _name("info")]
 )

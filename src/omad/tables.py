@@ -14,6 +14,10 @@ def readable(answer: dict[str, Any]) -> str:
         return demo_table(answer)
     if "comparison" in answer:
         return table1_text(answer)
+    if "ranking" in answer:
+        return ranking_text(answer)
+    if answer and all(isinstance(found, dict) and "omad_initial" in found for found in answer.values()):
+        return retrieval_text(answer)
     if "by_object" in answer:
         return pose_table(answer)
     if "joints" in answer:
@@ -168,6 +172,30 @@ def table1_text(answer: dict[str, Any]) -> str:
             lines.append(f"{name}: A-NCSH takes (alignment, end to end) {', '.join(times)} times as long")
     lines += [f"left out {r['category']} {r['method']}: {r['reason']}" for r in answer["left_out"]]
     return "\n".join(lines)
+
+
+def ranking_text(answer: dict[str, Any]) -> str:
+    """What ``index query`` found, a line an object."""
+    rows = [["", "object", "distance", "source"]]
+    for number, found in enumerate(answer["ranking"], 1):
+        rows.append([str(number), found["object"], f"{found['distance']:.4g} {answer['unit']}", found["source"]])
+    return "\n".join([table(rows), f"picture: {answer['picture']}", *answer["warnings"]])
+
+
+def retrieval_text(answer: dict[str, Any]) -> str:
+    """The paper's Table 3, per cent; the chance level beside it."""
+    rows = [["category", "method", "mAP@10", "NN", "1st tier", "2nd tier", "all objects", "across states", "paper"]]
+    for category, methods in answer.items():
+        lines = [(name, found, found["large"], found["across_states"]) for name, found in methods.items()]
+        first = methods["omad"]
+        lines.append(("chance", *(part["chance"] for part in (first, first["large"], first["across_states"]))))
+        for name, found, large, across in lines:
+            keys = ("map_at_10", "nearest_neighbour", "first_tier", "second_tier")
+            shares = [*(found[key] for key in keys), large["map_at_10"], across["map_at_10"]]
+            paper = found.get("paper")
+            printed = "-" if paper is None else f"{100 * paper:.1f}"
+            rows.append([category, name, *(f"{100 * share:.1f}" for share in shares), printed])
+    return table(rows)
 
 
 def table(rows: list[list[str]]) -> str:

@@ -149,23 +149,23 @@ def _nothing(category: Category) -> ObjectPose:
 
 
 def save_truths(path: Path, truths: Truths, identity: Identity) -> None:
-    _save(path, identity, objects=truths.objects, boxes=truths.boxes, **_arrays("pose", truths.poses))
+    save_arrays(path, identity, objects=truths.objects, boxes=truths.boxes, **_arrays("pose", truths.poses))
 
 
 def load_truths(path: Path, identity: Identity) -> Truths | None:
     """None where there is no such file. Raises InputError where it is of other data."""
-    arrays = _load(path, identity)
+    arrays = load_arrays(path, identity)
     return None if arrays is None else Truths(arrays["objects"], arrays["boxes"], _poses("pose", arrays))
 
 
 def save_predictions(path: Path, said: Predictions, identity: Identity) -> None:
     poses = _arrays("initial", said.initial) | _arrays("refined", said.refined)
-    _save(path, identity, seconds=said.seconds, machine=np.array(said.machine), **poses)
+    save_arrays(path, identity, seconds=said.seconds, machine=np.array(said.machine), **poses)
 
 
 def load_predictions(path: Path, identity: Identity) -> Predictions | None:
     """None where there is no such file. Raises InputError where it is of other data, weights or settings."""
-    arrays = _load(path, identity)
+    arrays = load_arrays(path, identity)
     if arrays is None:
         return None
     seconds, machine = arrays["seconds"], str(arrays["machine"])
@@ -181,7 +181,9 @@ def _poses(prefix: str, arrays: dict[str, np.ndarray]) -> tuple[ObjectPose, ...]
     return tuple(ObjectPose(*row) for row in zip(*columns, strict=True))
 
 
-def _save(path: Path, identity: Identity, **arrays: np.ndarray) -> None:
+def save_arrays(path: Path, identity: Identity, **arrays: np.ndarray) -> None:
+    """Whole or not at all, with a record of what it was made of."""
+
     def write(temporary: Path) -> None:
         with temporary.open("wb") as file:
             np.savez_compressed(file, allow_pickle=False, identity=json.dumps(identity), **arrays)
@@ -189,7 +191,8 @@ def _save(path: Path, identity: Identity, **arrays: np.ndarray) -> None:
     write_atomic(path, write)
 
 
-def _load(path: Path, identity: Identity) -> dict[str, np.ndarray] | None:
+def load_arrays(path: Path, identity: Identity) -> dict[str, np.ndarray] | None:
+    """What ``save_arrays`` wrote; None where there is no such file. Raises InputError for another identity."""
     if not path.is_file():
         return None
     try:

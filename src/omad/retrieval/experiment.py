@@ -1,0 +1,95 @@
+"""The paper's Table 3: galleries of unseen objects' views, drawn again and again from a pool, and how well views of
+the same object are found in them."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from ..categories import Category
+from .distances import Distance
+from .metrics import Scores, chance, mean_scores, rank, scores
+
+
+@dataclass(frozen=True)
+class Draw:
+    """One gallery and the queries put to it: rows of a pool."""
+
+    gallery: np.ndarray
+    """(G,)."""
+    queries: np.ndarray
+    """(Q,)."""
+    itself: np.ndarray | None
+    """(Q,) where each query stands in the gallery, to be left out; None where the gallery holds none of them."""
+
+
+@dataclass(frozen=True)
+class DrawSettings:
+    """How galleries are drawn."""
+
+    draws: int = 20
+    queries: int = 100
+    seed: int = 0
+
+
+def draw_galleries(objects: np.ndarray, count: int, settings: DrawSettings) -> list[Draw]:
+    """All views of ``count`` random objects of a pool (names (V,)), and random views among them as queries."""
+    rng = np.random.default_rng([settings.seed, count])
+    names = np.unique(objects)
+    found = []
+    for _ in range(settings.draws):
+        gallery = np.nonzero(np.isin(objects, rng.choice(names, min(count, len(names)), replace=False)))[0]
+        itself = rng.choice(len(gallery), min(settings.queries, len(gallery)), replace=False)
+        found.append(Draw(gallery, gallery[itself], itself))
+    return found
+
+
+def draw_across_states(objects: np.ndarray, opened: np.ndarray, count: int, settings: DrawSettings) -> list[Draw]:
+    """Galleries of the third of each object's views whose joints are least ``opened`` (V,), queries from the third
+    whose joints are most: a signature that saw the pose would fail."""
+    rng = np.random.default_rng([settings.seed, count, 1])
+    names = np.unique(objects)
+    closed_views, open_views = [], []
+    for name in names:
+        own = np.nonzero(objects == name)[0]
+        own = own[np.argsort(opened[own], kind="stable")]
+        third = max(len(own) // 3, 1)
+        closed_views.append(own[:third])
+        open_views.append(own[-third:])
+    found = []
+    for _ in range(settings.draws):
+        chosen = rng.choice(len(names), min(count, len(names)), replace=False)
+        asked = np.concatenate([open_views[i] for i in chosen])
+        queries = rng.choice(asked, min(settings.queries, len(asked)), replace=False)
+        found.append(Draw(np.concatenate([closed_views[i] for i in chosen]), queries, None))
+    return found
+
+
+def openness(states: np.ndarray, category: Category) -> np.ndarray:
+    """(V,) mean over the joints of how far each is on its way from rest to its farther limit."""
+    unit = np.where(category.revolute, 1.0, category.metres_per_unit)
+    limits = np.array([joint.limits for joint in category.joints])
+    far = np.take_along_axis(limits, np.abs(limits).argmax(1)[:, None], 1)[:, 0] * unit
+    return (states / far).mean(1)
+
+
+def evaluate_draws(draws: list[Draw], objects: np.ndarray, distance: Distance, seed: int = 0) -> dict[str, Any]:
+    """Scores averaged over draws, how mAP@10 varies between them, and the chance level on the same galleries."""
+    rng = np.random.default_rng(seed)
+    found: list[Scores] = []
+    random: list[Scores] = []
+    for draw in draws:
+        order = rank(distance(draw.queries, draw.gallery), draw.itself)
+        relevant = objects[draw.gallery][order] == objects[draw.queries][:, None]
+        found.append(scores(relevant))
+        random.append(chance(relevant, rng, permutations=1))
+    return {
+        **asdict(mean_scores(found)),
+        "map_at_10_std": float(np.std([one.map_at_10 for one in found])),
+        "chance": asdict(mean_scores(random)),
+        "objects": int(np.mean([len(np.unique(objects[draw.gallery])) for draw in draws])),
+        "gallery": int(np.mean([len(draw.gallery) for draw in draws])),
+        "draws": len(draws),
+    }
