@@ -225,6 +225,7 @@ CHEST = Category(
         JointSpec(f"slide {i}", "prismatic", 0, (0.0, 0.0, 1.0), (0.0, 1.0), side=(0.0, 1.0 - i, 0.5)) for i in range(3)
     ),
     rest=("closed",) * 3,
+    source_names=("StorageFurniture",),
 )
 
 
