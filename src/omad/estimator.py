@@ -2,7 +2,6 @@
 
     1. a first look in camera axes; its keypoints are fitted by least squares
     2. a second look in the base frame so found, where every object stands alike; fitted again
-    3. only where the network is still unsure: looks from the frame's other sides, and a second look from the surest
 
 Each look shows the network a few random choices of the points and averages what it says, by confidence.
 """
@@ -10,10 +9,10 @@ Each look shows the network a few random choices of the points and averages what
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal, overload
+from typing import Literal, overload
 
 import numpy as np
 import torch
@@ -24,7 +23,7 @@ from .adam_recipe import AdamResult, refine_with_adam
 from .categories import Category
 from .checkpoint import find_weights, load_net
 from .estimate import Estimate, InitialEstimate, JointEstimate
-from .geometry import fit_transform, quarter_turns, transform_points
+from .geometry import fit_transform, transform_points
 from .kinematics import joint_lines, part_transforms
 from .known import Known
 from .observation import Observation
@@ -64,11 +63,6 @@ class _Look:
     state: State
     part_logits: Tensor
     """(B, n, K)."""
-
-    @property
-    def expected_error(self) -> Tensor:
-        """(B,) of keypoints, as the network itself expects it: geometric mean, category units."""
-        return (-0.5 * self.targets.weights.log().mean(1)).exp()
 
 
 class Estimator:
@@ -122,35 +116,8 @@ class Estimator:
             refinement += self._lap(began)
             began = time.perf_counter()
         assert first is not None
-        look, refined = self._reconsidered(clouds[:, -self.config.samples[-1] :], look, refined, known)
-        network += self._lap(began)
         seconds = {"network": network / len(observations), "refinement": refinement / len(observations)}
         return self._answers(observations, chosen, first, look, refined, seconds)
-
-    def _reconsidered(self, clouds: Tensor, look: _Look, refined: Refined, known: Known) -> tuple[_Look, Refined]:
-        """Answers that are still doubtful, tried from the nine other sides that a near-symmetry may have hidden.
-
-        In training, second looks are shown such turned frames, too. The surest answer by the network's own
-        expectation stays; views that are not doubtful cost nothing.
-        """
-        doubtful = torch.nonzero(look.expected_error > DOUBTFUL).squeeze(1)
-        if not len(doubtful):
-            return look, refined
-        turns = quarter_turns().to(clouds)
-        frames = (refined.state.T_camera_base[doubtful, None] @ turns).flatten(0, 1)
-        turned = self._look(clouds[doubtful, :1].repeat_interleave(len(turns), 0), frames)
-        side = turned.expected_error.unflatten(0, (-1, len(turns))).argmin(1)
-        side = side + len(turns) * torch.arange(len(doubtful), device=side.device)
-        turned = _map_tensors(lambda values: values[side], turned)
-        fitted = self._refine(turned.targets, self._placed(turned), known)
-        again = self._look(clouds[doubtful], fitted.state.T_camera_base)
-        fitted = self._refine(again.targets, fitted.state, known)
-        surer = again.expected_error < look.expected_error[doubtful]
-
-        def kept(old: Tensor, new: Tensor) -> Tensor:
-            return old.index_put((doubtful[surer],), new[surer])
-
-        return _map_tensors(kept, look, again), _map_tensors(kept, refined, fitted)
 
     def _lap(self, began: float) -> float:
         if self.device.type == "cuda":
@@ -238,6 +205,7 @@ class Estimator:
                         T_camera_base=initial.T_camera_part[b, 0],
                         beta=initial.beta[b],
                         T_camera_part=initial.T_camera_part[b],
+                        keypoints=initial.keypoints[b],
                     ),
                     seconds=dict(seconds),
                     warnings=observation.warnings
@@ -304,14 +272,6 @@ class _Placed:
                 )
             )
         return tuple(answers)
-
-
-def _map_tensors(f: Callable[..., Tensor], *values: Any) -> Any:
-    """``f`` of every tensor of like dataclasses, in the form of the first."""
-    if isinstance(values[0], Tensor):
-        return f(*values)
-    names = [field.name for field in fields(values[0])]
-    return replace(values[0], **{name: _map_tensors(f, *(getattr(v, name) for v in values)) for name in names})
 
 
 def _size_doubts(points: np.ndarray, category: Category) -> tuple[str, ...]:
