@@ -86,6 +86,7 @@ ORDER = [
     "estimator",
     "ancsh.estimator",
     "report",
+    "html_report",
     "contact_sheet",
     "retrieval.search",
     "retrieval.approximate",

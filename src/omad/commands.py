@@ -23,6 +23,7 @@ from .depth_noise import LEVELS
 from .errors import InputError
 from .estimator import Estimator
 from .files import write_atomic
+from .html_report import save_html
 from .inputs import InputReader, input_files
 from .options import CategoryName, Device, Json, Result, Seed, Weights, check_category, check_positive
 from .report import describe, figure, save
@@ -64,8 +65,8 @@ class Demo:
 
 @dataclass(frozen=True)
 class Estimate:
-    """Estimate objects from depth images (PNG, TIFF, NPY, NPZ) or clouds (PLY, PCD, XYZ, NPY, NPZ): JSON, URDF and a
-    picture each."""
+    """Estimate objects from depth images (PNG, TIFF, NPY, NPZ) or clouds (PLY, PCD, XYZ, NPY, NPZ): JSON, URDF, a
+    picture and a page for the browser (estimate.html, with sliders) each."""
 
     inputs: tyro.conf.Positional[tuple[Path, ...]]
     """Files, or folders of them. A bad one of many is named on stderr and under "refused" of the JSON; the others,
@@ -111,6 +112,7 @@ class Estimate:
             folder = self.output / name
             estimate.save_urdf(folder / "object.urdf")
             save(figure(observation, estimate, title=file.name), folder / "estimate.png")
+            save_html(observation, estimate, folder / "estimate.html", title=file.name)
             _write_text(folder / "estimate.json", estimate.to_json() + "\n")
             found = ", ".join(describe(joint) for joint in estimate.joints)
             doubt = "" if estimate.converged else " (not converged)"

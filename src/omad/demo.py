@@ -10,6 +10,7 @@ import numpy as np
 
 from .estimator import Estimator
 from .evaluation import true_pose
+from .html_report import save_html
 from .metrics import pose_errors
 from .observation import Observation
 from .report import figure, save
@@ -32,7 +33,9 @@ def run_demo(estimators: Sequence[Estimator], output: Path, objects: int, seed: 
             folder = output / model.name
             estimate.save_urdf(folder / "object.urdf")
             save(figure(observation, estimate, truth, model.name), folder / "estimate.png")
-            files += [str(folder / "estimate.png"), str(folder / "object.urdf"), str(folder / "state.json")]
+            save_html(observation, estimate, folder / "estimate.html", truth, model.name)
+            names = ["estimate.png", "estimate.html", "object.urdf", "state.json"]
+            files += [str(folder / name) for name in names]
             results.append(
                 {
                     "category": category.name,

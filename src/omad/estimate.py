@@ -52,6 +52,8 @@ class InitialEstimate:
     """(D,)."""
     T_camera_part: np.ndarray
     """(K, 4, 4)."""
+    keypoints: np.ndarray
+    """(M, 3) camera frame."""
 
 
 @dataclass(frozen=True)
@@ -134,7 +136,7 @@ class Estimate:
     def object_model(self, name: str | None = None) -> ObjectModel:
         """The estimated object at rest. The model knows keypoints, so a part's mesh is their convex hull."""
         part_of = np.array(self.category.part_of_keypoint)
-        meshes = [_hull(self.canonical_keypoints[part_of == k]) for k in range(len(self.category.parts))]
+        meshes = [convex_hull(self.canonical_keypoints[part_of == k]) for k in range(len(self.category.parts))]
         return ObjectModel(
             name=name or f"estimated_{self.category.name}",
             category=self.category.name,
@@ -185,7 +187,7 @@ def _pose(joints: tuple[JointEstimate, ...], T_camera_part: np.ndarray) -> Objec
     )
 
 
-def _hull(points: np.ndarray) -> Mesh:
+def convex_hull(points: np.ndarray) -> Mesh:
     """Convex hull, oriented outward; a flat set of points is given a little thickness first."""
     try:
         hull = ConvexHull(points)

@@ -23,8 +23,8 @@ MAX_DRAWN = 6000
 def figure(observation: Observation, estimate: Estimate, truth: ObjectPose | None = None, title: str = "") -> Figure:
     """Six panels: depth, what was seen (parts, keypoints, axes), the cloud from the side, and the estimated object
     as it is and at both ends of its joints' travel. With ``truth`` the true axes are dashed in white."""
-    camera = observation.camera or _camera_around(observation.points)
-    window = _window(camera, observation.points)
+    camera = observation.camera or camera_around(observation.points)
+    left, right, top, bottom = window(camera, observation.points)
     fig = Figure(figsize=(15, 9.4), facecolor="white")
     panels = fig.subplots(2, 3).ravel()
     for panel in panels:
@@ -59,8 +59,8 @@ def figure(observation: Observation, estimate: Estimate, truth: ObjectPose | Non
         for joint in estimate.joints:
             draw_axis(panel, camera, joint.axis, joint.pivot, estimate.keypoints, "crimson", "-")
     for panel in (panels[0], panels[1], *panels[3:]):
-        panel.set_xlim(window[0], window[1])
-        panel.set_ylim(window[3], window[2])
+        panel.set_xlim(left, right)
+        panel.set_ylim(bottom, top)
         panel.set_aspect("equal")
     fig.suptitle("\n".join(filter(None, [title, ", ".join(describe(joint) for joint in estimate.joints)])))
     fig.tight_layout()
@@ -142,7 +142,7 @@ def _project(camera: Camera, points: np.ndarray) -> tuple[np.ndarray, np.ndarray
     return camera.fx * points[:, 0] / z + camera.cx, camera.fy * points[:, 1] / z + camera.cy
 
 
-def _window(camera: Camera, points: np.ndarray) -> tuple[float, float, float, float]:
+def window(camera: Camera, points: np.ndarray) -> tuple[float, float, float, float]:
     """Image region (left, right, top, bottom) around the object, with room for its open parts."""
     u, v = _project(camera, points)
     centre = np.array([u.min() + u.max(), v.min() + v.max()]) / 2
@@ -150,7 +150,7 @@ def _window(camera: Camera, points: np.ndarray) -> tuple[float, float, float, fl
     return centre[0] - half, centre[0] + half, centre[1] - half, centre[1] + half
 
 
-def _camera_around(points: np.ndarray) -> Camera:
+def camera_around(points: np.ndarray) -> Camera:
     """A camera for a bare cloud: it only serves to draw."""
     u = np.abs(points[:, :2] / np.maximum(points[:, 2:], 1e-6)).max()
     scale = min(STANDARD_CAMERA.fx, 0.45 * STANDARD_CAMERA.height / max(u, 1e-6))
