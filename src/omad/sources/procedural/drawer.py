@@ -54,16 +54,20 @@ def _cabinet(rng, width, height, depth, wall, base, edges) -> list[Mesh]:
     """Walls, back, bottom, top, rails between the drawers, and what it stands on."""
     x = width / 2
     over, side = rng.choice([0.0, rng.uniform(0.005, 0.04)]), rng.choice([0.0, rng.uniform(0.005, 0.03)])
+    bottomless = rng.random() < 0.15  # two sides that stand on the floor, nothing below the last drawer
+    foot = 0.0 if bottomless else base
     solids = [
-        box((-x, base, -depth), (-x + wall, height, 0)),
-        box((x - wall, base, -depth), (x, height, 0)),
-        box((-x + wall, base, -depth), (x - wall, height, -depth + wall * rng.uniform(0.3, 1.0))),
-        box((-x + wall, base, -depth + wall), (x - wall, base + wall, 0)),
+        box((-x, foot, -depth), (-x + wall, height, 0)),
+        box((x - wall, foot, -depth), (x, height, 0)),
+        box((-x + wall, foot, -depth), (x - wall, height, -depth + wall * rng.uniform(0.3, 1.0))),
         slab((-x - side, height - wall, -depth), (x + side, height + rng.uniform(0.0, 0.02), over), 1, 0.004),
     ]
     if rng.random() < 0.5:
         for y in edges[1:-1]:
             solids.append(box((-x + wall, y - 0.3 * wall, -depth * 0.9), (x - wall, y + 0.3 * wall, -0.002)))
+    if bottomless:
+        return solids
+    solids.append(box((-x + wall, base, -depth + wall), (x - wall, base + wall, 0)))
     if base > 0.015:
         solids += _stand(rng, x, depth, base)
     return solids
@@ -92,7 +96,7 @@ def _stand(rng, x: float, depth: float, base: float) -> list[Mesh]:
 
 def _open_box(rng, half, bottom, top, depth, wall, back_of_face) -> list[Mesh]:
     """The drawer behind its face: two sides, bottom, back, open above."""
-    deep, side = depth * rng.uniform(0.75, 0.92), rng.uniform(0.006, 0.015)
+    deep, side = (depth - wall) * rng.uniform(0.78, 0.99), rng.uniform(0.006, 0.015)
     low, high = bottom + 0.25 * wall + 0.004, top - (top - bottom) * rng.uniform(0.08, 0.4)
     rear = -deep
     return [
