@@ -16,7 +16,13 @@ from omad.view_check import compare_views
 DATA = Path(__file__).parent / "data"
 # One view of 24 seen the wrong way round costs the mean axis error up to 7 degrees, hence its limits.
 # mean joint state error (degrees, or category units), mean axis error in degrees, mean axis distance in category units
-LIMITS = {"dishwasher": (3.0, 6.0, 0.07), "drawer": (0.1, 5.0, None), "laptop": (2.0, 5.0, 0.03)}
+LIMITS = {
+    "dishwasher": (3.0, 6.0, 0.07),
+    "drawer": (0.1, 5.0, None),
+    "eyeglasses": (4.0, 3.0, 0.025),
+    "laptop": (2.0, 5.0, 0.03),
+    "scissors": (4.5, 2.2, 0.04),
+}
 
 
 @pytest.fixture(scope="module", params=sorted(LIMITS))
