@@ -133,7 +133,7 @@ def test_another_priors_signature_is_refused(tmp_path):
     index, betas = filled()
     foreign = signatures(betas[:1], seed=1)
     for ask in (lambda: index.search(foreign[0]), lambda: index.add(foreign, [Entry("x")])):
-        with pytest.raises(InputError, match="of prior .* the index of prior") as refusal:
+        with pytest.raises(InputError, match=r"of prior .* the index of prior") as refusal:
             ask()
         assert "\n" not in str(refusal.value)
     assert len(index) == 40

@@ -34,7 +34,7 @@ def ranking_figure(observations: Sequence[Observation], hits: Sequence[Hit], uni
     """The query's views, then the entries found, nearest first; ``unit`` stands behind distances."""
     panels = len(observations) + len(hits)
     columns, rows = min(COLUMNS, panels), -(-panels // COLUMNS)
-    fig = Figure(figsize=(2.2 * columns, 2.5 * rows), facecolor="white")
+    fig = Figure(figsize=(2.2 * columns, 2.8 * rows), facecolor="white")
     axes = fig.subplots(rows, columns, squeeze=False).ravel()
     for panel in axes:
         panel.set_axis_off()
@@ -45,7 +45,7 @@ def ranking_figure(observations: Sequence[Observation], hits: Sequence[Hit], uni
         if hit.entry.thumbnail:
             panel.imshow(_read(hit.entry.thumbnail))
         panel.set_title(f"{number}. {hit.entry.name}\n{hit.distance:.3g} {unit}", fontsize=7)
-    fig.tight_layout()
+    fig.subplots_adjust(left=0.01, right=0.99, bottom=0.01, top=0.86, wspace=0.05, hspace=0.3)
     return fig
 
 
