@@ -212,11 +212,11 @@ def test_in_a_browser(name, said_in_browser):
     assert said["title"] == f"{HOSTILE} · OMAD"
     joints = data["joints"]
     for step in said["steps"]:
-        assert np.array(step["keypoints"]) == pytest.approx(moved(data, step["states"]), abs=1e-7)
+        assert np.array(step["keypoints"]) == pytest.approx(moved(data, step["states"]), abs=1e-6)
         for joint, ends in zip(joints, np.array(step["axes"]), strict=True):
             along = ends[1] - ends[0]
             expected = expected_axis(data, step["states"], joint)
-            assert along / np.linalg.norm(along) == pytest.approx(expected, abs=1e-7)
+            assert along / np.linalg.norm(along) == pytest.approx(expected, abs=1e-6)
     first, *moves = said["steps"]
     slid, (again, *rest) = moves[: 2 * len(joints)], moves[2 * len(joints) :]
     for number, step in enumerate(slid):
