@@ -94,6 +94,15 @@ def test_what_is_no_such_object_is_doubtful(estimator):
     assert not any("doubtful" in warning for estimate in good for warning in estimate.warnings)
 
 
+@pytest.mark.parametrize(
+    ("limits", "state", "fraction"),
+    [((0.0, 1.5), 0.3, 0.2), ((-1.2, 0.0), -0.3, 0.25), ((-1.4, 1.5), -1.4, 0.0), ((-1.2, 0.0), 0.06, -0.05)],
+)
+def test_travel_begins_at_the_limit_nearer_to_rest(limits, state, fraction):
+    joint = omad.estimate.JointEstimate("joint", "revolute", state, 0.0, limits, np.array([1.0, 0, 0]), None)
+    assert joint.fraction == pytest.approx(fraction)
+
+
 def test_few_points_still_give_an_answer(estimator):
     observation = observe(some_views(estimator, 1)[0])
     sparse = omad.Observation.from_points(observation.points[:: len(observation.points) // 60])

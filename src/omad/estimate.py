@@ -36,9 +36,11 @@ class JointEstimate:
 
     @property
     def fraction(self) -> float:
-        """Where the state lies between the limits, 0 to 1 (and outside them, where it is)."""
+        """How much of its travel the joint has made, 0 to 1 (and beyond, where it is): from the limit that is nearer
+        to the rest state, so that a joint that rests closed says how far it is open."""
         low, high = self.limits
-        return (self.state - low) / (high - low)
+        near, far = (high, low) if abs(high) < abs(low) else (low, high)
+        return (self.state - near) / (far - near)
 
 
 @dataclass(frozen=True)

@@ -54,7 +54,7 @@ def demo_table(answer: dict[str, Any]) -> str:
 
 def joint_table(joints: list[dict[str, Any]]) -> str:
     """What ``estimate`` found, a line a joint."""
-    rows = [["joint", "state", "limits", "open", "axis", "pivot (m)"]]
+    rows = [["joint", "state", "limits", "travel", "axis", "pivot (m)"]]
     for joint in joints:
         turns = joint["type"] == "revolute"
         rows.append(
@@ -72,7 +72,7 @@ def joint_table(joints: list[dict[str, Any]]) -> str:
 
 def estimate_table(results: list[dict[str, Any]]) -> str:
     """What ``estimate`` found in many inputs, a line a joint."""
-    rows = [["input", "joint", "state", "open", "converged"]]
+    rows = [["input", "joint", "state", "travel", "converged"]]
     for result in results:
         for joint in result["joints"]:
             turns = joint["type"] == "revolute"
