@@ -21,7 +21,7 @@ FORMAT = "omad-index-1"
 Backend = Literal["exact", "faiss"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Entry:
     """What a catalogue says of one signature. Several entries may name the same object."""
 
@@ -125,11 +125,14 @@ class ShapeIndex:
             asked = min(4 * asked, len(self))
 
     def nearest(self, betas: np.ndarray, count: int) -> Neighbours:
-        """Rows and distances of the nearest entries of many queries (Q, D) of this prior."""
+        """Rows and distances of the nearest entries of many queries (Q, D) of this prior, as many as there are."""
+        count = min(count, len(self))
+        if not count:
+            return Neighbours(np.zeros((len(betas), 0), dtype=np.int64), np.zeros((len(betas), 0)))
         if self._search is None:
             vectors = self._vectors(self.betas)
             self._search = GraphSearch.of(vectors) if self.backend == "faiss" else ExactSearch(vectors)
-        return self._search.nearest(self._vectors(betas), min(count, len(self)))
+        return self._search.nearest(self._vectors(betas), count)
 
     def _vectors(self, betas: np.ndarray) -> np.ndarray:
         return (np.asarray(betas, dtype=np.float64) @ self.space.factor.T).astype(np.float32)
@@ -173,10 +176,10 @@ class ShapeIndex:
             if head["format"] != FORMAT:
                 raise InputError(f"{path}: format {head['format']!r} is not {FORMAT}; build the index anew")
             index = cls(Space(head["prior"], head["category"], head["metric"], arrays["factor"]), head["backend"])
-            ends = np.cumsum(arrays["thumbnail_sizes"])
-            pictures = arrays["thumbnails"].tobytes()
-            columns = zip(head["names"], head["sources"], ends, arrays["thumbnail_sizes"], strict=True)
-            entries = [Entry(name, source, pictures[end - size : end]) for name, source, end, size in columns]
+            pictures, ends = arrays["thumbnails"].tobytes(), np.cumsum(arrays["thumbnail_sizes"])
+            starts = ends - arrays["thumbnail_sizes"]
+            columns = zip(head["names"], head["sources"], starts.tolist(), ends.tolist(), strict=True)
+            entries = [Entry(name, source, pictures[start:end]) for name, source, start, end in columns]
             index.add_betas(arrays["betas"], entries)
             if "graph" in arrays:
                 index._search = GraphSearch.from_bytes(arrays["graph"])
