@@ -171,10 +171,11 @@ class Estimate:
         if part not in names[1:]:
             raise InputError(f"part {part!r} does not move: moving parts are {', '.join(names[1:])}")
         joint = self.joints[names.index(part) - 1]
+        point = np.asarray(point, dtype=np.float64)
         travel = np.linspace(0.0, to_state - joint.state, steps)
         if joint.pivot is None:
             return point + travel[:, None] * joint.axis
-        arm = np.asarray(point, dtype=np.float64) - joint.pivot
+        arm = point - joint.pivot
         along = joint.axis * (joint.axis @ arm)
         cos, sin = np.cos(travel)[:, None], np.sin(travel)[:, None]
         return joint.pivot + along + cos * (arm - along) + sin * np.cross(joint.axis, arm)
