@@ -10,13 +10,12 @@ from __future__ import annotations
 
 import json
 import platform
-import time
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 import torch
 import tyro
+from bench_refinement import median_ms
 
 from omad.ancsh.alignment import Alignment, AlignmentConfig, align
 from omad.ancsh.coordinates import Coordinates, part_boxes, true_coordinates
@@ -42,17 +41,6 @@ class Config:
     outliers: float = 0.1
     """Share of points that are placed anywhere."""
     json: bool = False
-
-
-def median_ms(run: Callable[[int], object], count: int) -> float:
-    """Median milliseconds of ``run(0)``, ``run(1)``, ... after one run to warm up."""
-    run(0)
-    times = []
-    for index in range(count):
-        began = time.perf_counter()
-        run(index)
-        times.append(1e3 * (time.perf_counter() - began))
-    return float(np.median(times))
 
 
 def disturbed(truth: Coordinates, category: Category, config: Config) -> AncshPrediction:

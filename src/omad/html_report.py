@@ -13,7 +13,7 @@ from importlib.resources import files as package_files
 from pathlib import Path
 from typing import Any
 
-import matplotlib
+import matplotlib.colors
 import numpy as np
 from PIL import Image
 

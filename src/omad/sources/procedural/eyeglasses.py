@@ -179,7 +179,9 @@ def _shield(rng: np.random.Generator, front: _Front) -> list[Mesh]:
     solids = [loft(rings)]
     if rng.random() < 0.5:
         bar = np.stack([x, top, 0 * x], 1)
-        solids.append(sweep(bar, np.array([0.0, 0.0, 1.0]), rounded_rectangle(*np.array(front.rim) * 1.3, 0.001, 1)))
+        solids.append(
+            sweep(bar, np.array([0.0, 0.0, 1.0]), rounded_rectangle(1.3 * front.rim[0], 1.3 * front.rim[1], 0.001, 1))
+        )
     return solids
 
 

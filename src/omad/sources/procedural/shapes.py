@@ -39,7 +39,7 @@ def hexahedron(corners: np.ndarray) -> Mesh:
     return _outward(corners, np.array(side + ends))
 
 
-def box(low: Sequence[float], high: Sequence[float]) -> Mesh:
+def box(low: Sequence[float] | np.ndarray, high: Sequence[float] | np.ndarray) -> Mesh:
     """Axis-aligned box between two corners."""
     (x0, y0, z0), (x1, y1, z1) = low, high
     ring = np.array([[x0, 0, z0], [x1, 0, z0], [x1, 0, z1], [x0, 0, z1]])
@@ -118,7 +118,7 @@ def sweep(path: np.ndarray, normal: np.ndarray, section: np.ndarray, closed: boo
     return loft(path[:, None] + section[..., :1] * side[:, None] + section[..., 1:] * normal[:, None], closed)
 
 
-def spline(points: Sequence[Sequence[float]], count: int, closed: bool = False) -> np.ndarray:
+def spline(points: Sequence[Sequence[float] | np.ndarray], count: int, closed: bool = False) -> np.ndarray:
     """Smooth curve (count, D) through ``points``, evenly spaced in the points' own distances."""
     through = np.asarray(points, float)
     if closed:
