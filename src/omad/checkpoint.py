@@ -90,6 +90,11 @@ def load_siamese(folder: Path) -> SiameseNet:
     return _load(net, folder)
 
 
+def training_record(folder: Path) -> dict[str, Any]:
+    """What an OMADNet checkpoint remembers of its training. Raises InputError."""
+    return _read_config(folder, "net")["training"]
+
+
 def find_weights(name: str | Path) -> Path:
     """The folder of a category's shipped weights, or ``name`` itself where it is a checkpoint folder.
 

@@ -20,6 +20,7 @@ from .checkpoint import (
     save_priornet,
     save_siamese,
     shipped_categories,
+    training_record,
 )
 from .errors import InputError
 from .objects import SampledObject
@@ -98,53 +99,69 @@ class TrainPrior(_Training):
 
 
 @dataclass(frozen=True)
-class TrainAncsh(_Training):
-    """Train the baseline A-NCSH as OMADNet is trained: same views, backbone and schedule, but no prior."""
+class _NetTraining(_Training):
+    """Options that the trainings of networks with OMADNet's backbone share."""
 
+    initial: Path | None = None
+    """OMADNet checkpoint to start from: all of it to fine-tune (with the same prior), its backbone for a baseline, that
+    then has had OMADNet's training and its own."""
     size: Literal["slim", "paper"] = "slim"
     """slim: fast on a CPU; paper: the paper's PointNet++."""
 
+    def backbone(self) -> BackboneConfig:
+        return PAPER_SIZE if self.size == "paper" else SLIM
+
+    def load_initial(self) -> OmadNet | None:
+        if self.initial is None:
+            return None
+        net = load_net(self.initial)
+        check_category("--initial", self.initial, net.category, self.category)
+        if net.backbone.config != self.backbone():
+            raise InputError(f"--initial {self.initial}: is not of the size {self.size}; change --size")
+        return net
+
+    def record(self, schedule: Schedule) -> dict[str, Any]:
+        start = {"initial": training_record(self.initial)} if self.initial else {}
+        return super().record(schedule) | start
+
+
+@dataclass(frozen=True)
+class TrainAncsh(_NetTraining):
+    """Train the baseline A-NCSH as OMADNet is trained: same views, backbone and schedule, but no prior."""
+
     def run(self) -> Result:
-        backbone = PAPER_SIZE if self.size == "paper" else SLIM
+        initial = self.load_initial()
         category, models, schedule, device = self.prepare(AncshTraining().schedule)
-        settings = AncshTraining(schedule=schedule, backbone=backbone)
-        net = train_ancsh(models, category, self.output, settings, device)
+        settings = AncshTraining(schedule=schedule, backbone=self.backbone())
+        net = train_ancsh(models, category, self.output, settings, device, initial)
         save_ancsh(net, self.output, self.record(schedule))
         return 0, {"checkpoint": str(self.output)}
 
 
 @dataclass(frozen=True)
-class TrainSiamese(_Training):
+class TrainSiamese(_NetTraining):
     """Train the Siamese baseline of retrieval: same views, backbone and schedule as OMADNet, but no prior."""
 
-    size: Literal["slim", "paper"] = "slim"
-    """slim: fast on a CPU; paper: the paper's PointNet++."""
-
     def run(self) -> Result:
-        backbone = PAPER_SIZE if self.size == "paper" else SLIM
+        initial = self.load_initial()
         category, models, schedule, device = self.prepare(SiameseTraining().schedule)
-        settings = SiameseTraining(schedule=schedule, backbone=backbone)
-        net = train_siamese(models, category, self.output, settings, device)
+        settings = SiameseTraining(schedule=schedule, backbone=self.backbone())
+        net = train_siamese(models, category, self.output, settings, device, initial)
         save_siamese(net, self.output, self.record(schedule))
         return 0, {"checkpoint": str(self.output)}
 
 
 @dataclass(frozen=True)
-class TrainNet(_Training):
+class TrainNet(_NetTraining):
     """Train OMADNet on endless views of a category's objects."""
 
     prior: Path | None = None
     """Checkpoint folder of the prior; default: the shipped one."""
-    initial: Path | None = None
-    """OMADNet checkpoint to fine-tune (with the same prior)."""
-    size: Literal["slim", "paper"] = "slim"
-    """slim: fast on a CPU; paper: the paper's PointNet++."""
 
     def run(self) -> Result:
-        backbone = PAPER_SIZE if self.size == "paper" else SLIM
-        prior, initial = self._prior(), self._initial(backbone)
+        prior, initial = self._prior(), self.load_initial()
         category, models, schedule, device = self.prepare(NetTraining().schedule)
-        settings = NetTraining(schedule=schedule, backbone=backbone)
+        settings = NetTraining(schedule=schedule, backbone=self.backbone())
         net = train_net(models, category, prior, self.output, settings, device, initial)
         save_net(net, self.output, self.record(schedule))
         return 0, {"checkpoint": str(self.output)}
@@ -157,12 +174,3 @@ class TrainNet(_Training):
         prior = load_priornet(self.prior or find_weights(self.category) / "prior")
         check_category("--prior", self.prior, prior.category, self.category)
         return prior
-
-    def _initial(self, backbone: BackboneConfig) -> OmadNet | None:
-        if self.initial is None:
-            return None
-        net = load_net(self.initial)
-        check_category("--initial", self.initial, net.category, self.category)
-        if net.backbone.config != backbone:
-            raise InputError(f"--initial {self.initial}: is not of the size {self.size}; change --size")
-        return net

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from ..categories import Category
 from ..objects import SampledObject
-from ..omadnet import to_input_frame
+from ..omadnet import OmadNet, to_input_frame
 from ..pointnet2 import SLIM, BackboneConfig
 from ..train_net import NetTraining, disturbed_frames
 from ..training import Schedule, train
@@ -41,12 +41,16 @@ def train_ancsh(
     folder: Path,
     settings: AncshTraining,
     device: torch.device | str = "cpu",
+    initial: OmadNet | None = None,
 ) -> AncshNet:
-    """Train A-NCSH on views of ``models``; returns the averaged network. ``folder`` as ``omad.training.train``."""
+    """Train A-NCSH on views of ``models``, its backbone from that of ``initial`` where given; returns the averaged
+    network. ``folder`` as ``omad.training.train``."""
     torch.manual_seed(settings.schedule.seed)  # initial weights
     bank = SurfaceBank.from_models(models, category, seed=settings.schedule.seed).to(device)
     boxes = part_boxes(bank, len(category.parts))
     net = AncshNet(category, settings.backbone).to(device)
+    if initial is not None:
+        net.backbone.load_state_dict(initial.backbone.state_dict())
 
     def loss_terms(module: torch.nn.Module, draw: torch.Generator) -> dict[str, Tensor]:
         assert isinstance(module, AncshNet)

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from ..categories import Category
 from ..objects import SampledObject
-from ..omadnet import first_frame, to_input_frame
+from ..omadnet import OmadNet, first_frame, to_input_frame
 from ..pointnet2 import SLIM, BackboneConfig
 from ..train_net import NetTraining
 from ..training import Schedule, train
@@ -40,11 +40,15 @@ def train_siamese(
     folder: Path,
     settings: SiameseTraining,
     device: torch.device | str = "cpu",
+    initial: OmadNet | None = None,
 ) -> SiameseNet:
-    """Train on views of ``models``; returns the averaged network. ``folder`` as ``omad.training.train``."""
+    """Train on views of ``models``, its backbone from that of ``initial`` where given; returns the averaged
+    network. ``folder`` as ``omad.training.train``."""
     torch.manual_seed(settings.schedule.seed)  # initial weights
     bank = SurfaceBank.from_models(models, category, seed=settings.schedule.seed).to(device)
     net = SiameseNet(category, settings.backbone).to(device)
+    if initial is not None:
+        net.backbone.load_state_dict(initial.backbone.state_dict())
     each = settings.views_of_object
     drawn = -(-settings.schedule.batch // each)
 
