@@ -60,6 +60,7 @@ ORDER = [
     "priornet",
     "omadnet",
     "least_squares",
+    "keypoint_jacobian",
     "small_matrices",
     "refinement_kernel",
     "refinement",

@@ -28,7 +28,7 @@ from .kinematics import joint_lines, part_transforms
 from .known import Known
 from .observation import Observation
 from .omadnet import OmadNet, Prediction, first_frame, to_input_frame
-from .refinement import Refined, RefinementConfig, State, Targets, refine
+from .refinement import Refined, RefinementConfig, Refiner, State, Targets
 from .runtime import pick_device
 from .views import sample_clouds
 
@@ -72,6 +72,7 @@ class Estimator:
         self.device = torch.device(device)
         self.net = net.to(self.device).eval()
         self.config = config or EstimatorConfig()
+        self._kept: Refiner | None = None
 
     @classmethod
     def from_pretrained(
@@ -164,9 +165,18 @@ class Estimator:
         if self.config.method == "adam":
             with torch.enable_grad():
                 return _as_refined(refine_with_adam(prior, targets, start))
+        return self._refiner(known)(targets, start)
+
+    def _refiner(self, known: Known) -> Refiner:
+        """The one for nothing known is kept."""
+        config = self.config.refinement
+        if known is NOTHING_KNOWN and self._kept is not None and self._kept.config is config:
+            return self._kept
         limits = torch.tensor([j.limits for j in self.category.joints], device=self.device)
-        free = known.free(self.category, prior.basis_size)
-        return refine(prior, targets, start, limits, self.config.refinement, free)
+        refiner = Refiner(self.net.prior, limits, config, known.free(self.category, self.net.prior.basis_size))
+        if known is NOTHING_KNOWN:
+            self._kept = refiner
+        return refiner
 
     def _answers(self, observations, chosen, first: _Look, last: _Look, refined: Refined, seconds) -> list[Estimate]:
         category, prior, unit = self.category, self.net.prior, self.category.metres_per_unit
@@ -299,8 +309,9 @@ def _doubts(keypoint_std: np.ndarray) -> tuple[str, ...]:
 def _as_refined(adam: AdamResult) -> Refined:
     """Adam's result in the form of the least-squares one; it knows nothing of covariance."""
     size = 6 + adam.state.joint_states.shape[1] + adam.state.beta.shape[1]
-    unknown = torch.full((len(adam.energy), size, size), torch.nan)
-    return Refined(adam.state, unknown, adam.converged, adam.steps, adam.energy, adam.loss)
+    unknown = torch.full((len(adam.energy), size, size), torch.nan, dtype=torch.float64)
+    every = torch.eye(size, dtype=torch.float64)
+    return Refined(adam.state, unknown, every, adam.converged, adam.steps, adam.energy, adam.loss)
 
 
 def _numpy(tensor: Tensor) -> np.ndarray:

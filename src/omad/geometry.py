@@ -116,7 +116,8 @@ def fit_transform(a: Tensor, b: Tensor, weights: Tensor) -> Tensor:
     moment = (share * (b - mean_b[..., None, :])).mT @ (a - mean_a[..., None, :])
     U, _, V = torch.linalg.svd(moment)
     sign = torch.ones_like(mean_a)
-    sign[..., 2] = torch.linalg.det(U @ V)
+    Q = U @ V
+    sign[..., 2] = (torch.linalg.cross(Q[..., 0], Q[..., 1], dim=-1) * Q[..., 2]).sum(-1)  # determinant
     R = U * sign[..., None, :] @ V
     return make_transform(R, mean_b - (R @ mean_a[..., None]).squeeze(-1))
 

@@ -19,17 +19,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from functools import cached_property
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from .errors import InputError
-from .geometry import make_transform, skew, so3_exp
-from .kinematics import part_transforms
+from .geometry import make_transform, so3_exp
+from .keypoint_jacobian import State, keypoint_jacobian
 from .least_squares import Linearisation, RobustKernel, TerminationConfig, minimise
 from .prior import OmadPrior
+
+if TYPE_CHECKING:
+    from .refinement_kernel import KernelProblem
 
 
 @dataclass(frozen=True)
@@ -65,24 +69,14 @@ class Targets:
 
 
 @dataclass(frozen=True)
-class State:
-    """The unknowns of B observations."""
-
-    beta: Tensor
-    """(B, D)."""
-    joint_states: Tensor
-    """(B, J)."""
-    T_camera_base: Tensor
-    """(B, 4, 4)."""
-
-
-@dataclass(frozen=True)
 class Refined:
     """What became of B observations."""
 
     state: State
-    covariance: Tensor
-    """(B, P, P) of the unknowns in tangent coordinates (omega, t, theta, beta), from J^T J; zero for held ones."""
+    hessian: Tensor
+    """(B, F, F) J^T J over the free directions, float64."""
+    directions: Tensor
+    """(P, F) which those are, float64."""
     converged: Tensor
     """(B,) bool."""
     iterations: Tensor
@@ -91,6 +85,11 @@ class Refined:
     """(B,) sum of weighted squared keypoint distances."""
     residual: Tensor
     """(B,) RMS keypoint distance over the keypoints with weight."""
+
+    @cached_property
+    def covariance(self) -> Tensor:
+        """(B, P, P) of the unknowns in tangent coordinates (omega, t, theta, beta), from J^T J; zero for held ones."""
+        return (self.directions @ _inverse(self.hessian) @ self.directions.T).to(self.residual)
 
     @property
     def std(self) -> Tensor:
@@ -123,10 +122,11 @@ DEFAULT_CONFIG = RefinementConfig()
 
 @dataclass(frozen=True)
 class _Solution:
-    """What either backend hands over; ``hessian`` (B, F, F) over the free directions."""
+    """What either backend hands over; ``hessian`` (B, F, F) over the free directions, ``squared`` distances (B, M)."""
 
     state: State
     hessian: Tensor
+    squared: Tensor
     converged: Tensor
     iterations: Tensor
 
@@ -168,78 +168,58 @@ def energy(prior: OmadPrior, state: State, targets: Targets) -> Tensor:
     return (targets.weights * (points - targets.keypoints).square().sum(-1)).sum(-1)
 
 
-def keypoint_jacobian(prior: OmadPrior, state: State) -> tuple[Tensor, Tensor]:
-    """Camera-space keypoints (B, M, 3) and their derivative (B, M, 3, P) by the unknowns."""
-    tree, part_of, basis = prior.tree, prior.part_of, prior.basis
-    joints = prior.joints(state.beta)
-    axes, pivots = joints.axes, joints.pivots
-    d_axes, d_pivots = _joint_derivatives(prior, state.beta)  # (B, J, 3, D)
-    R, t = state.T_camera_base[:, :3, :3], state.T_camera_base[:, :3, 3]
-    batch, count = len(R), tree.num_joints
-    eye = torch.eye(4, dtype=R.dtype, device=R.device).expand(batch, 4, 4)
-    G = part_transforms(tree, axes, pivots, state.joint_states, eye)  # part -> base frame
-    canonical = prior.keypoints(state.beta)
+class Refiner:
+    """A prior's refinement with its constants worked out once, so that a call costs little more than its arithmetic.
 
-    A = G[:, part_of, :3, :3]
-    points = (A @ canonical[..., None]).squeeze(-1) + G[:, part_of, :3, 3]  # base frame
-    by_states = torch.zeros(*points.shape, count, dtype=R.dtype, device=R.device)
-    by_beta = torch.einsum("bmij,mjd->bmid", A, basis)
-    for part in range(1, tree.num_parts):
-        members = prior.keypoints_of_part[part]
-        below = canonical[:, members]  # the keypoint in canonical coordinates, before the joint at hand moves it
-        for joint in reversed(tree.path(part)):
-            parent = G[:, tree.parents[joint]]
-            rotation = parent[:, :3, :3]
-            theta = state.joint_states[:, joint, None, None]
-            u, q = axes[:, joint], pivots[:, joint]
-            if tree.types[joint] == "revolute":
-                arm = below - q[:, None]
-                cos, sin = theta.cos(), theta.sin()
-                along = (arm * u[:, None]).sum(-1, keepdim=True)
-                turned = (
-                    cos * arm
-                    + sin * torch.linalg.cross(u[:, None].expand_as(arm), arm)
-                    + (1 - cos) * along * u[:, None]
-                )
-                by_u = -sin[..., None] * skew(arm) + (1 - cos)[..., None] * (
-                    along[..., None] * torch.eye(3, dtype=R.dtype, device=R.device)
-                    + u[:, None, :, None] * arm[..., None, :]
-                )
-                eye3 = torch.eye(3, dtype=R.dtype, device=R.device)
-                F = cos * eye3 + sin * skew(u) + (1 - cos) * u[..., None] * u[:, None]
-                moved = turned + q[:, None]
-                d_theta = torch.linalg.cross(u[:, None].expand_as(arm), turned)
-                d_beta = by_u @ d_axes[:, None, joint] + ((eye3 - F) @ d_pivots[:, joint])[:, None]
-            else:
-                moved = below + theta * u[:, None]
-                d_theta = u[:, None].expand_as(below)
-                d_beta = (theta * d_axes[:, joint])[:, None].expand(-1, below.shape[1], -1, -1)
-            by_states[:, members, :, joint] = d_theta @ rotation.mT
-            by_beta[:, members] += rotation[:, None] @ d_beta
-            below = moved
-    camera = points @ R.mT
-    d_omega = -skew(camera)
-    d_t = torch.eye(3, dtype=R.dtype, device=R.device).expand_as(d_omega)
-    moving = R[:, None] @ torch.cat([by_states, by_beta], -1)
-    return camera + t[:, None], torch.cat([d_omega, d_t, moving], -1)
+    ``limits`` (B, J, 2) or (J, 2); ``free`` (P, F) from ``free_directions``, default: all. Raises InputError for limits
+    of another shape.
+    """
+
+    def __init__(
+        self, prior: OmadPrior, limits: Tensor, config: RefinementConfig = DEFAULT_CONFIG, free: Tensor | None = None
+    ) -> None:
+        joints = prior.tree.num_joints
+        if limits.dim() not in (2, 3) or limits.shape[-2:] != (joints, 2):
+            raise InputError(f"limits: shape {tuple(limits.shape)}, give (J, 2) or (B, J, 2) with J = {joints}")
+        like = prior.learned_basis
+        free = free_directions(joints, prior.basis_size) if free is None else free
+        self.prior, self.config = prior, config
+        self.limits, self.free = limits.to(like), free.to(like.device, torch.float64)
+        self.whitening = _whitening(prior, config.prior_weight)
+        self._kernel: KernelProblem | None = None
+        if config.backend == "kernel" or (config.backend == "auto" and like.device.type == "cpu"):
+            from .refinement_kernel import prepare  # compiled only where it is used
+
+            self._kernel = prepare(prior, self.whitening, self.free, config.limit_sigma, config.huber)
+
+    @torch.no_grad()
+    def __call__(self, targets: Targets, initial: State) -> Refined:
+        """Minimise the energy from ``initial``.
+
+        A problem with NaNs comes back unconverged with its initial values, and changes no other. Raises InputError for
+        tensors of the wrong shape and for negative weights.
+        """
+        _check(self.prior, targets, initial, self.limits)
+        left_out = (targets.weights == 0)[..., None]
+        targets = Targets(torch.where(left_out, 0.0, targets.keypoints), targets.weights)
+        limits = self.limits.expand(len(initial.beta), -1, -1)
+        if self._kernel is not None:
+            solution = _solve_with_kernel(self._kernel, targets, initial, limits, self.config)
+        else:
+            solution = _solve_with_torch(self.prior, targets, initial, limits, self.config, self.whitening, self.free)
+        squared = solution.squared
+        mean = torch.where(left_out[..., 0], 0.0, squared).sum(-1) / (~left_out).sum((1, 2)).clamp(min=1)
+        return Refined(
+            state=solution.state,
+            hessian=solution.hessian.double(),
+            directions=self.free,
+            converged=solution.converged,
+            iterations=solution.iterations,
+            energy=(targets.weights * squared).sum(-1),
+            residual=mean.sqrt(),
+        )
 
 
-def _joint_derivatives(prior: OmadPrior, beta: Tensor) -> tuple[Tensor, Tensor]:
-    """d axis / d beta and d pivot / d beta, each (B, J, 3, D)."""
-    hidden = prior.joint_hidden(beta)
-    active = (hidden > 0).to(beta.dtype)
-    raw = prior.joint_out(hidden.relu()).unflatten(-1, (-1, 6))
-    slope = prior.joint_out.weight @ (active[..., None] * prior.joint_hidden.weight)
-    slope = slope.unflatten(1, (-1, 6))
-    unnormalised = prior.nominal_axes + raw[..., :3]
-    length = unnormalised.norm(dim=-1, keepdim=True)
-    axis = unnormalised / length
-    eye = torch.eye(3, dtype=beta.dtype, device=beta.device)
-    tangent = (eye - axis[..., None] * axis[..., None, :]) / length[..., None]
-    return tangent @ slope[:, :, :3], slope[:, :, 3:] * prior.revolute[:, None, None]
-
-
-@torch.no_grad()
 def refine(
     prior: OmadPrior,
     targets: Targets,
@@ -248,34 +228,8 @@ def refine(
     config: RefinementConfig = DEFAULT_CONFIG,
     free: Tensor | None = None,
 ) -> Refined:
-    """Minimise the energy from ``initial``. ``limits`` (B, J, 2) or (J, 2); ``free`` (P, F) from ``free_directions``.
-
-    A problem with NaNs comes back unconverged with its initial values, and changes no other. Raises InputError for
-    tensors of the wrong shape and for negative weights.
-    """
-    _check(prior, targets, initial, limits)
-    limits = limits.to(targets.keypoints).expand(len(initial.beta), -1, -1)
-    if free is None:
-        free = free_directions(prior.tree.num_joints, prior.basis_size)
-    left_out = (targets.weights == 0)[..., None]
-    targets = Targets(torch.where(left_out, 0.0, targets.keypoints), targets.weights)
-    on_cpu = targets.keypoints.device.type == "cpu"
-    use_kernel = config.backend == "kernel" or (config.backend == "auto" and on_cpu)
-    solve = _solve_with_kernel if use_kernel else _solve_with_torch
-    solution = solve(prior, targets, initial, limits, config, free)
-
-    points = prior.deform(solution.state.beta, solution.state.joint_states, solution.state.T_camera_base)
-    squared = (points - targets.keypoints).square().sum(-1)
-    mean = torch.where(left_out[..., 0], 0.0, squared).sum(-1) / (~left_out).sum((1, 2)).clamp(min=1)
-    directions = free.to(squared.device, torch.float64)
-    return Refined(
-        state=solution.state,
-        covariance=(directions @ _inverse(solution.hessian) @ directions.T).to(squared),
-        converged=solution.converged,
-        iterations=solution.iterations,
-        energy=(targets.weights * squared).sum(-1),
-        residual=mean.sqrt(),
-    )
+    """Refine once; see ``Refiner``, which is faster for many calls."""
+    return Refiner(prior, limits, config, free)(targets, initial)
 
 
 def _check(prior: OmadPrior, targets: Targets, initial: State, limits: Tensor) -> None:
@@ -292,13 +246,13 @@ def _check(prior: OmadPrior, targets: Targets, initial: State, limits: Tensor) -
             raise InputError(f"{name}: shape {tuple(tensor.shape)}, this prior and batch need {wanted}")
         if tensor.dtype != prior.learned_basis.dtype:
             raise InputError(f"{name}: {tensor.dtype}, but the prior is {prior.learned_basis.dtype}; convert one")
-    if limits.shape not in ((joints, 2), (batch, joints, 2)):
-        raise InputError(f"limits: shape {tuple(limits.shape)}, give (J, 2) or (B, J, 2) with J = {joints}")
+    if limits.dim() == 3 and len(limits) not in (1, batch):
+        raise InputError(f"limits: for {len(limits)} observations, there are {batch}; give (J, 2) for all of them")
     if (targets.weights < 0).any():
         raise InputError("targets.weights: negative, give 1 / sigma^2 or 0 to leave a keypoint out")
 
 
-def whitening(prior: OmadPrior, weight: float) -> Tensor:
+def _whitening(prior: OmadPrior, weight: float) -> Tensor:
     """(D, D) upper triangular L with |L (beta - mean)|^2 = weight * squared Mahalanobis distance, float64.
 
     A direction in which the training objects hardly vary counts as a thousandth of the widest one's spread, so that
@@ -323,16 +277,14 @@ def _inverse(hessian: Tensor) -> Tensor:
 
 
 def _solve_with_kernel(
-    prior: OmadPrior, targets: Targets, initial: State, limits: Tensor, config: RefinementConfig, free: Tensor
+    problem: KernelProblem, targets: Targets, initial: State, limits: Tensor, config: RefinementConfig
 ) -> _Solution:
-    from . import refinement_kernel  # compiled only where it is used
+    from . import refinement_kernel
 
     def array(tensor: Tensor) -> np.ndarray:
         return np.ascontiguousarray(tensor.detach().cpu().numpy(), dtype=np.float64)
 
     like = targets.keypoints
-    L = whitening(prior, config.prior_weight)
-    problem = refinement_kernel.prepare(prior, L, free, config.limit_sigma, config.huber)
     observed = array(like), array(targets.weights), array(limits)
     start = array(initial.T_camera_base), array(initial.joint_states), array(initial.beta)
     found = refinement_kernel.solve(problem, *observed, *start, config.termination)
@@ -343,17 +295,24 @@ def _solve_with_kernel(
             T_camera_base=torch.as_tensor(found.T_camera_base).to(like),
         ),
         hessian=torch.as_tensor(found.hessian, device=like.device),
+        squared=torch.as_tensor(found.squared).to(like),
         converged=torch.as_tensor(found.converged, device=like.device),
         iterations=torch.as_tensor(found.iterations, device=like.device),
     )
 
 
 def _solve_with_torch(
-    prior: OmadPrior, targets: Targets, initial: State, limits: Tensor, config: RefinementConfig, free: Tensor
+    prior: OmadPrior,
+    targets: Targets,
+    initial: State,
+    limits: Tensor,
+    config: RefinementConfig,
+    whitening: Tensor,
+    free: Tensor,
 ) -> _Solution:
     like = targets.keypoints
     joints, size = prior.tree.num_joints, prior.basis_size
-    L, free = whitening(prior, config.prior_weight).to(like), free.to(like)
+    L, free = whitening.to(like), free.to(like)
     root = targets.weights.sqrt()
     by_beta = torch.cat([like.new_zeros(size, 6 + joints), L], 1)
 
@@ -385,4 +344,7 @@ def _solve_with_torch(
 
     robust = None if config.huber is None else RobustKernel("huber", config.huber, prior.num_keypoints)
     found = minimise(linearise, pack(initial), retract, termination=config.termination, robust=robust)
-    return _Solution(unpack(found.x), found.hessian, found.converged, found.iterations)
+    state = unpack(found.x)
+    points = prior.deform(state.beta, state.joint_states, state.T_camera_base)
+    squared = (points - targets.keypoints).square().sum(-1)
+    return _Solution(state, found.hessian, squared, found.converged, found.iterations)

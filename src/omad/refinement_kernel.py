@@ -52,6 +52,7 @@ class KernelSolution(NamedTuple):
     joint_states: np.ndarray  # (B, J)
     T_camera_base: np.ndarray  # (B, 4, 4)
     hessian: np.ndarray  # (B, F, F) J^T J over the free directions
+    squared: np.ndarray  # (B, M) squared distances of keypoints from their targets; 0 where the weight is
     converged: np.ndarray  # (B,) bool
     iterations: np.ndarray  # (B,)
 
@@ -97,8 +98,9 @@ def _joints(c, beta, axes, pivots, d_axes, d_pivots):
 
 
 @inner
-def _evaluate(c, x, targets, weights, limits, gradient, hessian):
-    """The energy at x; J^T r (P,) and the lower triangle of J^T J (P, P) are overwritten."""
+def _evaluate(c, x, targets, weights, limits, gradient, hessian, squared):
+    """The energy at x; J^T r (P,), the lower triangle of J^T J (P, P) and each keypoint's squared distance (M,) are
+    overwritten, the latter where it counts."""
     M, _, D = c.basis.shape
     J = len(c.parents)
     S, B, P = 6, 6 + J, 6 + J + D  # where joint states and beta begin
@@ -196,12 +198,13 @@ def _evaluate(c, x, targets, weights, limits, gradient, hessian):
                     for d in range(D):
                         rows[i, B + d] += K[i, n] * by_axis[j, n, d]
         w = weights[m]
-        squared = w * (off[0] ** 2 + off[1] ** 2 + off[2] ** 2)
-        if squared > c.huber**2:
-            length = math.sqrt(squared)
+        squared[m] = off[0] ** 2 + off[1] ** 2 + off[2] ** 2
+        term = w * squared[m]
+        if term > c.huber**2:
+            length = math.sqrt(term)
             w *= c.huber / length
-            squared = c.huber * (2.0 * length - c.huber)
-        cost += squared
+            term = c.huber * (2.0 * length - c.huber)
+        cost += term
         for i in range(3):
             for a in range(P):
                 scaled = w * rows[i, a]
@@ -275,15 +278,16 @@ def _retract(free, x, step, turn, out):
 
 
 @_jit
-def _minimise_all(c, targets, weights, limits, points, hessians, converged, iterations, most, smallest, share):
-    """Rows of ``points`` are moved in place; ``hessians`` receive J^T J over the free directions."""
+def _minimise_all(c, targets, weights, limits, points, hessians, squared, converged, iterations, most, smallest, share):
+    """Rows of ``points`` are moved in place; ``hessians`` receive J^T J over the free directions, ``squared`` how far
+    keypoints are from their targets."""
     P, F = c.free.shape
     gradient, hessian, work, turn = np.empty(P), np.empty((P, P)), np.empty((P, F)), np.empty((3, 3))
     g, step, extra = np.empty(F), np.empty(F), np.empty(F)
-    L, trial = np.empty((F, F)), np.empty(points.shape[1])
+    L, trial, trial_squared = np.empty((F, F)), np.empty(points.shape[1]), np.zeros(squared.shape[1])
     for o in range(len(points)):
         x, A = points[o], hessians[o]
-        cost = _evaluate(c, x, targets[o], weights[o], limits[o], gradient, hessian)
+        cost = _evaluate(c, x, targets[o], weights[o], limits[o], gradient, hessian, squared[o])
         _project(c.free, gradient, hessian, work, g, A)
         damping, growth = 1e-3, 2.0
         while math.isfinite(cost) and iterations[o] < most and damping <= 1e12 and not converged[o]:
@@ -298,7 +302,7 @@ def _minimise_all(c, targets, weights, limits, points, hessians, converged, iter
             accepted = False
             if solve_damped(A, extra, g, L, step):
                 _retract(c.free, x, step, turn, trial)
-                new_cost = _evaluate(c, trial, targets[o], weights[o], limits[o], gradient, hessian)
+                new_cost = _evaluate(c, trial, targets[o], weights[o], limits[o], gradient, hessian, trial_squared)
                 gained, promised, longest = cost - new_cost, 0.0, 0.0
                 for f in range(F):
                     promised += step[f] * (extra[f] * step[f] - g[f])
@@ -312,6 +316,8 @@ def _minimise_all(c, targets, weights, limits, points, hessians, converged, iter
                     _project(c.free, gradient, hessian, work, g, A)
                     for a in range(len(x)):
                         x[a] = trial[a]
+                    for m in range(len(trial_squared)):
+                        squared[o, m] = trial_squared[m]
                 else:
                     # rounding may hide the last decrease
                     converged[o] = promised <= 8.0 * EPSILON * cost or (longest < smallest and damping <= 1.0)
@@ -361,12 +367,14 @@ def solve(
     batch, directions = len(poses), problem.free.shape[1]
     points = np.concatenate([poses[:, :3, :3].reshape(batch, 9), poses[:, :3, 3], states, beta], 1)
     hessian = np.empty((batch, directions, directions))
+    squared = np.zeros(weights.shape)
     converged, iterations = np.zeros(batch, dtype=np.bool_), np.zeros(batch, dtype=np.int64)
     _minimise_all(
-        problem, targets, weights, limits, points, hessian, converged, iterations,
+        problem, targets, weights, limits, points, hessian, squared, converged, iterations,
         termination.max_iterations, termination.step_tolerance, termination.cost_tolerance,
     )  # fmt: skip
     joints = states.shape[1]
     poses = poses.copy()
     poses[:, :3, :3], poses[:, :3, 3] = points[:, :9].reshape(batch, 3, 3), points[:, 9:12]
-    return KernelSolution(points[:, 12 + joints :], points[:, 12 : 12 + joints], poses, hessian, converged, iterations)
+    states, beta = points[:, 12 : 12 + joints], points[:, 12 + joints :]
+    return KernelSolution(beta, states, poses, hessian, squared, converged, iterations)
