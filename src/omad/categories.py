@@ -65,7 +65,7 @@ class Category:
     'tips together' (two long parts that cross at the joint point the same way), 'zero' (the source's own zero)."""
     views: ViewRange = ViewRange()
     basis_size: int = 10
-    """|beta|."""
+    """Numbers that beta has."""
     swap_symmetry: bool = False
     """The object turned half about z with its two parts swapped is the same object: either labelling is right."""
     source_names: tuple[str, ...] = ()
