@@ -63,7 +63,7 @@ def main(config: Config) -> None:
     models = [generate(category, index, "test") for index in range(20)]
     views = list(standard_views(models, category, config.views))
     observations = [Observation.from_depth(view.depth, view.camera) for view in views]
-    clouds, _ = estimator._sample(observations)
+    clouds, _ = estimator._sample(observations, sum(estimator.config.samples))
     look = estimator._look(clouds[:, :1], first_frame(clouds.flatten(1, 2)))
     limits = torch.tensor([joint.limits for joint in category.joints])
 

@@ -5,5 +5,9 @@ class InputError(ValueError):
     """Bad input. The message is one line that names the file or field and the cure; the command line exits with 2."""
 
 
+class NothingSeen(InputError):
+    """The frame is in order, and the object is not in it: too few measured points where it should be."""
+
+
 class WorkError(RuntimeError):
     """The input was in order and the work failed. One line; the command line exits with 1."""

@@ -25,7 +25,7 @@ from .checkpoint import find_weights, load_net
 from .estimate import Estimate, InitialEstimate, JointEstimate
 from .geometry import fit_transform, transform_points
 from .kinematics import joint_lines, part_transforms
-from .known import Known
+from .known import Known, Near
 from .observation import Observation
 from .omadnet import OmadNet, Prediction, first_frame, to_input_frame
 from .refinement import Refined, RefinementConfig, Refiner, State, Targets
@@ -45,6 +45,8 @@ class EstimatorConfig:
 
     samples: tuple[int, ...] = (1, 3)
     """Per look, how many random choices of the points it averages. The first look only has to find the frame."""
+    near_samples: int = 1
+    """The same of the only look at an object that is known to be near a place."""
     refinement: RefinementConfig = RefinementConfig(step_tolerance=1e-4, cost_tolerance=1e-5)
     """Tolerances a hundred times below the network's own error: half the iterations of the defaults."""
     method: Literal["least_squares", "adam"] = "least_squares"
@@ -99,20 +101,28 @@ class Estimator:
         size = self.config.batch
         return [e for i in range(0, len(observation), size) for e in self._estimate(observation[i : i + size], known)]
 
+    def near(self, observation: Observation, near: Near) -> Estimate:
+        """Estimate an object that was seen before, a moment ago say: one look is enough, which takes half the time."""
+        return self._estimate([observation], NOTHING_KNOWN, near)[0]
+
     @torch.no_grad()
-    def _estimate(self, observations: Sequence[Observation], known: Known) -> list[Estimate]:
+    def _estimate(self, observations: Sequence[Observation], known: Known, near: Near | None = None) -> list[Estimate]:
         began = time.perf_counter()
-        clouds, chosen = self._sample(observations)
+        looks = self.config.samples if near is None else (self.config.near_samples,)
+        clouds, chosen = self._sample(observations, sum(looks))
         frame = first_frame(clouds.flatten(1, 2))
         network, refinement = 0.0, 0.0
         first: _Look | None = None
         start: State | None = None
-        for used, samples in enumerate(self.config.samples):
-            look = self._look(clouds[:, sum(self.config.samples[:used]) :][:, :samples], frame)
+        if near is not None:
+            start = near.start(self.category, frame)
+            frame = start.T_camera_base
+        for used, samples in enumerate(looks):
+            look = self._look(clouds[:, sum(looks[:used]) :][:, :samples], frame)
             network += self._lap(began)
             began = time.perf_counter()
             first = first or look
-            refined = self._refine(look.targets, start or self._placed(look), known)
+            refined = self._refine(look.targets, start or self._placed(look), known, near)
             start, frame = refined.state, refined.state.T_camera_base
             refinement += self._lap(began)
             began = time.perf_counter()
@@ -125,9 +135,9 @@ class Estimator:
             torch.cuda.synchronize(self.device)
         return time.perf_counter() - began
 
-    def _sample(self, observations: Sequence[Observation]) -> tuple[Tensor, list[np.ndarray]]:
-        """Random points of each cloud, in category units: (B, samples of all looks, n, 3), and which they are."""
-        samples, size = sum(self.config.samples), self.net.backbone.config.points
+    def _sample(self, observations: Sequence[Observation], samples: int) -> tuple[Tensor, list[np.ndarray]]:
+        """Random points of each cloud, in category units: (B, samples, n, 3), and which they are."""
+        size = self.net.backbone.config.points
         return sample_clouds(observations, size, samples, self.config.seed, self.category, self.device)
 
     def _look(self, clouds: Tensor, frame: Tensor) -> _Look:
@@ -159,13 +169,16 @@ class Estimator:
         pose = fit_transform(keypoints, look.targets.keypoints, look.targets.weights)
         return replace(state, T_camera_base=pose)
 
-    def _refine(self, targets: Targets, start: State, known: Known) -> Refined:
+    def _refine(self, targets: Targets, start: State, known: Known, near: Near | None) -> Refined:
         prior = self.net.prior
         start = known.impose(start, self.category)
         if self.config.method == "adam":
             with torch.enable_grad():
                 return _as_refined(refine_with_adam(prior, targets, start))
-        return self._refiner(known)(targets, start)
+        refiner = self._refiner(known)
+        if near is not None:
+            refiner = refiner.believing(torch.as_tensor(near.beta), torch.as_tensor(near.beta_covariance))
+        return refiner(targets, start)
 
     def _refiner(self, known: Known) -> Refiner:
         """The one for nothing known is kept."""

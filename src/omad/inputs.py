@@ -62,7 +62,7 @@ class InputReader:
         try:
             return self._cloud(file) if is_cloud(file) else self._depth(file)
         except InputError as error:
-            raise InputError(str(error) if str(file) in str(error) else f"{file}: {error}") from error
+            raise type(error)(str(error) if str(file) in str(error) else f"{file}: {error}") from error
 
     def _cloud(self, file: Path) -> Observation:
         if self.mask is not None or self.box is not None:

@@ -57,6 +57,28 @@ class Known:
         return free_directions(len(held), basis_size, self.beta is not None, held, gravity=gravity)
 
 
+@dataclass(frozen=True)
+class Near:
+    """Where an object that was seen before is expected, and what is believed of its shape. Camera frame, metres."""
+
+    T_camera_base: np.ndarray
+    """(4, 4): the network looks in this frame, and the least squares starts in it."""
+    joint_states: np.ndarray
+    """(J,) where the least squares starts."""
+    beta: np.ndarray
+    """(D,) mean of the belief, in place of the category's."""
+    beta_covariance: np.ndarray
+    """(D, D) of the belief."""
+
+    def start(self, category: Category, like: Tensor) -> State:
+        """In category units, a batch of one; dtype and device are those of ``like``."""
+        pose = np.array(self.T_camera_base)
+        pose[:3, 3] /= category.metres_per_unit
+        lengths = [1.0 if joint.type == "revolute" else category.metres_per_unit for joint in category.joints]
+        values = (self.beta, np.asarray(self.joint_states) / lengths, pose)
+        return State(*(torch.as_tensor(value).to(like)[None] for value in values))
+
+
 def _upright(pose: Tensor, gravity: Tensor) -> Tensor:
     """Turn each base (B, 4, 4) by the smallest rotation that brings its down direction to ``gravity``."""
     down = -pose[:, :3, 1]

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from .camera import Camera
-from .errors import InputError
+from .errors import InputError, NothingSeen
 from .segmentation import RIVAL, segment_on_plane
 
 MIN_POINTS = 50
@@ -62,7 +62,7 @@ class Observation:
         region = _check_region(depth.shape, mask, box)
         chosen = (depth > 0) & region
         if np.count_nonzero(chosen) < MIN_POINTS:
-            raise InputError(
+            raise NothingSeen(
                 f"depth: {np.count_nonzero(chosen)} of {np.count_nonzero(depth)} measured pixels lie inside mask and"
                 f" box, at least {MIN_POINTS} are needed; check mask, box and the camera's range"
             )
@@ -94,7 +94,7 @@ class Observation:
             raise InputError(f"points: expected shape (N, 3), got {cloud.shape}")
         cloud = cloud[np.isfinite(cloud).all(1) & cloud.any(1)]
         if len(cloud) < MIN_POINTS:
-            raise InputError(f"points: {len(cloud)} valid points, at least {MIN_POINTS} are needed")
+            raise NothingSeen(f"points: {len(cloud)} valid points, at least {MIN_POINTS} are needed")
         _check_metres(np.linalg.norm(cloud, axis=1), "points")
         kept, warnings = _select(cloud, segment, drop_flying)
         behind = float((cloud[kept, 2] <= 0).mean())
@@ -123,7 +123,7 @@ def _check_depth(depth_m: Any) -> np.ndarray:
     depth = np.where(np.isfinite(depth) & (depth > 0), depth, 0.0)
     measured = depth[depth > 0]
     if not len(measured):
-        raise InputError("depth: no pixel holds a measurement (all are zero or NaN); check the camera and the file")
+        raise NothingSeen("depth: no pixel holds a measurement (all are zero or NaN); check the camera and the file")
     _check_metres(measured, "depth")
     if np.asarray(depth_m).dtype.kind in "iu":
         raise InputError("depth: integers cannot be metres; multiply by the depth scale first (0.001 for millimetres)")
@@ -200,7 +200,7 @@ def _select(
     if drop_flying and len(kept) > NEIGHBOURS:
         kept = kept[~_flying(points[kept])]
     if len(kept) < MIN_POINTS:
-        raise InputError(
+        raise NothingSeen(
             f"segment: only {len(kept)} of {len(points)} points are left, {MIN_POINTS} are needed; give a mask or a box"
         )
     return kept, warnings

@@ -18,6 +18,7 @@ Category units and radians. P = 6 + J + D. The plain version is in torch, batche
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Literal
@@ -185,12 +186,21 @@ class Refiner:
         free = free_directions(joints, prior.basis_size) if free is None else free
         self.prior, self.config = prior, config
         self.limits, self.free = limits.to(like), free.to(like.device, torch.float64)
-        self.whitening = _whitening(prior, config.prior_weight)
+        self.beta_mean, self.whitening = prior.beta_mean, _whitening(prior.beta_covariance, config.prior_weight)
         self._kernel: KernelProblem | None = None
         if config.backend == "kernel" or (config.backend == "auto" and like.device.type == "cpu"):
             from .refinement_kernel import prepare  # compiled only where it is used
 
             self._kernel = prepare(prior, self.whitening, self.free, config.limit_sigma, config.huber)
+
+    def believing(self, mean: Tensor, covariance: Tensor) -> Refiner:
+        """The same refinement with another Gaussian on beta, mean (D,) and covariance (D, D), than the category's."""
+        other = copy(self)
+        other.beta_mean, other.whitening = mean, _whitening(covariance, self.config.prior_weight)
+        if self._kernel is not None:
+            values = (tensor.detach().cpu().double().numpy() for tensor in (other.beta_mean, other.whitening))
+            other._kernel = self._kernel._replace(**dict(zip(("beta_mean", "whitening"), values, strict=True)))
+        return other
 
     @torch.no_grad()
     def __call__(self, targets: Targets, initial: State) -> Refined:
@@ -206,7 +216,7 @@ class Refiner:
         if self._kernel is not None:
             solution = _solve_with_kernel(self._kernel, targets, initial, limits, self.config)
         else:
-            solution = _solve_with_torch(self.prior, targets, initial, limits, self.config, self.whitening, self.free)
+            solution = _solve_with_torch(self, targets, initial, limits)
         squared = solution.squared
         mean = torch.where(left_out[..., 0], 0.0, squared).sum(-1) / (~left_out).sum((1, 2)).clamp(min=1)
         return Refined(
@@ -252,13 +262,13 @@ def _check(prior: OmadPrior, targets: Targets, initial: State, limits: Tensor) -
         raise InputError("targets.weights: negative, give 1 / sigma^2 or 0 to leave a keypoint out")
 
 
-def _whitening(prior: OmadPrior, weight: float) -> Tensor:
+def _whitening(covariance: Tensor, weight: float) -> Tensor:
     """(D, D) upper triangular L with |L (beta - mean)|^2 = weight * squared Mahalanobis distance, float64.
 
     A direction in which the training objects hardly vary counts as a thousandth of the widest one's spread, so that
     few objects, or alike ones, still make a usable prior.
     """
-    spread, directions = torch.linalg.eigh(prior.beta_covariance.double())
+    spread, directions = torch.linalg.eigh(covariance.double())
     spread = spread.clamp(min=1e-6 * float(spread[-1].clamp(min=1e-12)))
     return torch.linalg.qr((weight / spread).sqrt()[:, None] * directions.mT).R
 
@@ -301,18 +311,10 @@ def _solve_with_kernel(
     )
 
 
-def _solve_with_torch(
-    prior: OmadPrior,
-    targets: Targets,
-    initial: State,
-    limits: Tensor,
-    config: RefinementConfig,
-    whitening: Tensor,
-    free: Tensor,
-) -> _Solution:
-    like = targets.keypoints
+def _solve_with_torch(refiner: Refiner, targets: Targets, initial: State, limits: Tensor) -> _Solution:
+    like, prior, config = targets.keypoints, refiner.prior, refiner.config
     joints, size = prior.tree.num_joints, prior.basis_size
-    L, free = whitening.to(like), free.to(like)
+    L, free, mean = refiner.whitening.to(like), refiner.free.to(like), refiner.beta_mean.to(like)
     root = targets.weights.sqrt()
     by_beta = torch.cat([like.new_zeros(size, 6 + joints), L], 1)
 
@@ -325,7 +327,7 @@ def _solve_with_torch(
         under = (state.joint_states - limits[index, :, 0]).clamp(max=0)
         outside = ((over + under) != 0).to(like.dtype) / config.limit_sigma
         by_limits = torch.nn.functional.pad(torch.diag_embed(outside), (6, size))
-        residuals = [seen, (state.beta - prior.beta_mean) @ L.mT, (over + under) / config.limit_sigma]
+        residuals = [seen, (state.beta - mean) @ L.mT, (over + under) / config.limit_sigma]
         full = torch.cat([by_seen, by_beta.expand(len(index), -1, -1), by_limits], 1)
         return Linearisation(torch.cat(residuals, -1), full @ free)
 
