@@ -103,6 +103,7 @@ ORDER = [
     "experiments.predictions",
     "experiments.table1",
     "retrieval.paper",
+    "retrieval.shards",
     "retrieval.pool",
     "retrieval.distances",
     "retrieval.experiment",

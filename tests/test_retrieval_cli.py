@@ -128,8 +128,11 @@ def test_table3_of_all_methods_and_again_from_the_cache(capsys, monkeypatch):
     assert methods["omad"]["paper"] == 0.452
     assert methods["omad"]["map_at_10"] > methods["omad"]["chance"]["map_at_10"]
 
-    monkeypatch.setattr("omad.commands_retrieval.describe_with_omad", None)  # nothing is estimated again
-    monkeypatch.setattr("omad.commands_retrieval.describe_with_siamese", None)
+    def again(*_):
+        raise AssertionError("what is kept is not made again")
+
+    monkeypatch.setattr("omad.commands_retrieval.describe_with_omad", again)
+    monkeypatch.setattr("omad.commands_retrieval.describe_with_siamese", again)
     assert answer(capsys, *command) == found
     assert run(command) == 0
     assert "across states" in capsys.readouterr().out

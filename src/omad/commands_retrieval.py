@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import Any, Literal
@@ -17,7 +18,7 @@ from .categories import Category
 from .checkpoint import WEIGHTS, find_weights, load_priornet
 from .errors import InputError
 from .estimator import Estimator
-from .experiments.predictions import data_identity, load_arrays, save_arrays, weights_identity
+from .experiments.predictions import data_identity, weights_identity
 from .files import CLOUD_FORMATS, DEPTH_FORMATS, make_folder, write_atomic
 from .inputs import InputReader, input_files
 from .options import BrokenFiles, CategoryName, Device, Json, Result, Seed, Weights, check_category, check_positive
@@ -28,12 +29,14 @@ from .retrieval.experiment import DrawSettings, draw_across_states, draw_galleri
 from .retrieval.index import Backend, ShapeIndex
 from .retrieval.paper import TABLE3, USUAL_OBJECTS
 from .retrieval.picture import ranking_figure
-from .retrieval.pool import Pool, describe_with_omad, describe_with_siamese, load_pool, save_pool
+from .retrieval.pool import Pool, describe_with_omad, describe_with_siamese
+from .retrieval.shards import described_in_shards
 from .retrieval.siamese_encoder import SiameseEncoder
 from .retrieval.signature import Metric, Space, estimate_signature, fuse, prior_fingerprint
 from .runtime import pick_device
 from .sources.artimage import is_artimage
-from .sources.select import load_models, load_views
+from .sources.select import ViewSource, load_models, load_views
+from .standard_views import View
 from .view_folder import is_view_folder
 
 UNITS = {"keypoints": "m", "beta": "", "whitened": "std"}
@@ -260,32 +263,28 @@ class EvalRetrieval:
 
     def _pool(self, estimator: Estimator, folder: Path) -> tuple[Pool, np.ndarray | None]:
         """From the cache as far as they are there; the rest is made, and put there."""
-        category = estimator.category
+        category, siamese = estimator.category, folder / "siamese"
         cache = self.cache / category.name
         make_folder(cache)
-        data = {"data": self._data(category), "version": __version__}
+        total, data = self._load(category).total, {"data": self._data(category), "version": __version__}
+
+        def views(skip: int) -> Iterable[View]:
+            return self._load(category, skip).views
+
         made_of = data | {"weights": weights_identity(folder), "settings": repr(estimator.config)}
-        pool = load_pool(cache / "omad.npz", made_of)
-        if pool is None:
-            source = self._load(category)
-            pool = describe_with_omad(estimator, source.views, source.total)
-            save_pool(cache / "omad.npz", pool, made_of)
-        siamese = folder / "siamese"
+        found = described_in_shards(cache / "omad", made_of, total, views, partial(describe_with_omad, estimator))
+        pool = Pool(**found)
         if not (siamese / "config.json").is_file():
             print(f"{category.name}: no weights in {siamese}; omad train siamese makes them", file=sys.stderr)
             return pool, None
+        encoder = SiameseEncoder.from_folder(siamese, self.device)
         made_of = data | {"weights": weights_identity(siamese)}
-        kept = load_arrays(cache / "siamese.npz", made_of)
-        if kept is None:
-            source = self._load(category)
-            encoder = SiameseEncoder.from_folder(siamese, self.device)
-            kept = {"embeddings": describe_with_siamese(encoder, source.views, source.total)}
-            save_arrays(cache / "siamese.npz", made_of, **kept)
-        return pool, kept["embeddings"]
+        found = described_in_shards(cache / "siamese", made_of, total, views, partial(describe_with_siamese, encoder))
+        return pool, found["embeddings"]
 
-    def _load(self, category: Category):
+    def _load(self, category: Category, skip: int = 0) -> ViewSource:
         views = self.objects * self.views
-        return load_views(self.source, category, self.objects, views, self.seed, self.depth_noise, self.broken)
+        return load_views(self.source, category, self.objects, views, self.seed, self.depth_noise, self.broken, skip)
 
     def _data(self, category: Category) -> str:
         settings = {"objects": self.objects, "views": self.views, "seed": self.seed, "noise": self.depth_noise}

@@ -105,9 +105,14 @@ def view_seed(index: int, objects: int, seed: int) -> tuple[int, int, int]:
 
 
 def standard_views(
-    models: Sequence[ObjectModel], category: Category, views: int, seed: int = 0, noise: NoiseLevel | None = None
+    models: Sequence[ObjectModel],
+    category: Category,
+    views: int,
+    seed: int = 0,
+    noise: NoiseLevel | None = None,
+    skip: int = 0,
 ) -> Iterator[View]:
-    """``views`` in total, dealt out to the models in turn."""
-    for index in range(views):
+    """``views`` in total, dealt out to the models in turn, without the first ``skip`` of them."""
+    for index in range(skip, views):
         drawn = view_seed(index, len(models), seed)
         yield standard_view(models[drawn[1]], category, drawn, noise)

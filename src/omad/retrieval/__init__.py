@@ -9,6 +9,7 @@ catalogue    entries from object models, views and observations
 siamese      the baseline: a PointNet++ with contrastive loss
 metrics      mAP@10, nearest neighbour, first and second tier
 distances    how alike views are, by every way that is compared
-pool         what estimators say of many views of many objects, kept on disk
+shards       what takes long, kept on disk as it comes
+pool         what estimators say of many views of many objects
 experiment   galleries drawn from a pool: the paper's Table 3
 """

@@ -1,27 +1,22 @@
 """What OMAD and the Siamese network say of many views of many objects, kept on disk with a record of its making.
 
-<cache>/<category>/omad.npz      objects, joint states, and of every view beta (initial and refined) with covariance
-<cache>/<category>/siamese.npz   the embedding of every view
+<cache>/<category>/omad/         shards: objects, joint states, and of every view beta (initial, refined), covariance
+<cache>/<category>/siamese/      shards: the embedding of every view
 """
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass, fields
-from pathlib import Path
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
-from tqdm import tqdm
 
 from ..errors import InputError
 from ..estimator import Estimator
-from ..experiments.predictions import Identity, load_arrays, save_arrays
 from ..observation import Observation
 from ..standard_views import View
+from .shards import Arrays
 from .siamese_encoder import SiameseEncoder
-
-BATCH = 32
 
 
 @dataclass(frozen=True)
@@ -40,47 +35,31 @@ class Pool:
     """(V, D, D) of the refined beta."""
 
 
-def describe_with_omad(estimator: Estimator, views: Iterable[View], total: int) -> Pool:
-    """Estimate every view."""
-    objects, states, rows = [], [], []
+def describe_with_omad(estimator: Estimator, views: list[View]) -> Arrays:
+    """The arrays of a ``Pool`` of these views."""
     size = estimator.net.prior.basis_size
 
     def estimate(observations: list[Observation]) -> list[np.ndarray]:
         found = estimator(observations)
         return [np.concatenate([e.beta, e.initial.beta, e.covariance[-size:, -size:].ravel()]) for e in found]
 
-    for some in _batched(views, total):
-        objects += [view.object for view in some]
-        states += [view.states for view in some]
-        rows.append(_of_seen(some, estimate, 2 * size + size**2))
-    found = np.concatenate(rows)
-    return Pool(
-        objects=np.array(objects),
-        states=np.stack(states),
-        beta=found[:, :size],
-        initial=found[:, size : 2 * size],
-        covariance=found[:, 2 * size :].reshape(-1, size, size),
-    )
+    rows = _of_seen(views, estimate, 2 * size + size**2)
+    return {
+        "objects": np.array([view.object for view in views]),
+        "states": np.stack([view.states for view in views]),
+        "beta": rows[:, :size],
+        "initial": rows[:, size : 2 * size],
+        "covariance": rows[:, 2 * size :].reshape(-1, size, size),
+    }
 
 
-def describe_with_siamese(encoder: SiameseEncoder, views: Iterable[View], total: int) -> np.ndarray:
-    """Embed every view, (V, E)."""
+def describe_with_siamese(encoder: SiameseEncoder, views: list[View]) -> Arrays:
+    """``embeddings`` (V, E) of these views."""
 
     def embed(observations: list[Observation]) -> list[np.ndarray]:
         return list(encoder(observations))
 
-    return np.concatenate([_of_seen(some, embed, encoder.net.size) for some in _batched(views, total)])
-
-
-def _batched(views: Iterable[View], total: int) -> Iterable[list[View]]:
-    some: list[View] = []
-    for view in tqdm(views, total=total, unit="view", file=sys.stderr, disable=not sys.stderr.isatty()):
-        some.append(view)
-        if len(some) == BATCH:
-            yield some
-            some = []
-    if some:
-        yield some
+    return {"embeddings": _of_seen(views, embed, encoder.net.size)}
 
 
 def _of_seen(views: list[View], describe: Callable[[list[Observation]], list[np.ndarray]], width: int) -> np.ndarray:
@@ -95,13 +74,3 @@ def _of_seen(views: list[View], describe: Callable[[list[Observation]], list[np.
     if observed:
         rows[list(observed)] = describe(list(observed.values()))
     return rows
-
-
-def save_pool(path: Path, pool: Pool, identity: Identity) -> None:
-    save_arrays(path, identity, **{f.name: getattr(pool, f.name) for f in fields(Pool)})
-
-
-def load_pool(path: Path, identity: Identity) -> Pool | None:
-    """None where there is no such file. Raises InputError where it is of other data or weights."""
-    arrays = load_arrays(path, identity)
-    return None if arrays is None else Pool(**arrays)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field
+from itertools import islice
 from pathlib import Path
 from typing import Literal
 
@@ -63,9 +64,17 @@ def load_training_objects(
 
 
 def load_views(
-    source: str, category: Category, objects: int, views: int, seed: int, noisy: bool, broken: Broken
+    source: str,
+    category: Category,
+    objects: int,
+    views: int,
+    seed: int,
+    noisy: bool,
+    broken: Broken,
+    skip: int = 0,
 ) -> ViewSource:
-    """Views to test on: all of a rendered folder or of an ArtImage root's test split, else standard views of models.
+    """Views to test on: all of a rendered folder or of an ArtImage root's test split, else standard views of models;
+    without the first ``skip`` of them, which ``total`` still counts.
 
     Raises InputError for a source of another category, and where noise is asked for that only a rendering can have.
     """
@@ -73,13 +82,14 @@ def load_views(
     if source == "procedural" or not (is_view_folder(folder) or is_artimage(folder)):
         found = load_models(source, category, objects, "test", seed)
         noise = LEVELS["on" if noisy else "off"]
-        return ViewSource(standard_views(found.models, category, views, seed, noise), views, noisy, found.refused)
+        drawn = standard_views(found.models, category, views, seed, noise, skip)
+        return ViewSource(drawn, views, noisy, found.refused)
     if noisy:
         raise InputError(f"{source}: is rendered already; leave out --depth-noise, or render with --noise")
     if is_artimage(folder):
         images = open_artimage(folder, category, "test", broken)
-        return ViewSource(images, len(images), False, images.left_out)
+        return ViewSource(islice(images, skip, None), len(images), False, images.left_out)
     rendered = open_views(folder)
     if rendered.category != category.name:
         raise InputError(f"{source}: views of {rendered.category}, not of {category.name}")
-    return ViewSource(rendered, len(rendered), rendered.noise is not None)
+    return ViewSource(islice(rendered, skip, None), len(rendered), rendered.noise is not None)
