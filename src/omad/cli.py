@@ -17,6 +17,7 @@ import tyro
 
 from . import commands as c
 from . import commands_eval as e
+from . import commands_figures as f
 from . import commands_import as i
 from . import commands_retrieval as r
 from . import commands_tables as b
@@ -44,6 +45,14 @@ _Eval = Annotated[
     | Annotated[r.EvalRetrieval, _name("retrieval")],
     _name("eval", description="Measure accuracy on objects with known truth."),
 ]
+_Figure = Annotated[
+    Annotated[f.FigureQualitative, _name("qualitative")]
+    | Annotated[f.FigureKeypoints, _name("keypoints")]
+    | Annotated[f.FigureSweep, _name("sweep")]
+    | Annotated[f.FigureOcclusion, _name("occlusion")]
+    | Annotated[f.FigureTsne, _name("tsne")],
+    _name("figure", description="Draw figures from weights: results, keypoints, sweeps, occlusion, t-SNE."),
+]
 _Index = Annotated[
     Annotated[r.IndexBuild, _name("build")] | Annotated[r.IndexQuery, _name("query")],
     _name("index", description="Which object is this: a catalogue of objects that is asked with a view."),
@@ -56,6 +65,7 @@ _Command = (
     | Annotated[c.Render, _name("render")]
     | _Train
     | _Eval
+    | _Figure
     | _Index
     | Annotated[c.Export, _name("export")]
     | Annotated[c.Info, _name("info")]

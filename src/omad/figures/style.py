@@ -1,0 +1,150 @@
+"""How all figures look: colours, fonts, the grid of panels, small files."""
+
+from __future__ import annotations
+
+import colorsys
+import io
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from itertools import accumulate
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from PIL import Image
+
+from ..files import write_atomic
+
+INK, FAINT, RULE = "#22252b", "#6b7280", "#d5d9e0"
+ESTIMATED, TRUE = "#c81e4a", "#111111"
+"""Joint axes."""
+METHOD_COLOURS = {"ancsh": "#8a8f98", "omad_initial": "#e08e2b", "omad_refined": "#2563c9"}
+METHOD_NAMES = {"ancsh": "A-NCSH", "omad_initial": "OMAD, initial", "omad_refined": "OMAD, refined"}
+OBJECT_COLOURS = (
+    "#2563c9", "#e08e2b", "#2f9e5b", "#c81e4a", "#7c4dbd", "#8a5a3c",
+    "#e377a8", "#5b6470", "#a8b820", "#1fb5c4", "#1b2a6b", "#f2c14e",
+)  # fmt: skip
+WIDTH = 9.0
+"""Inches: 8 points are 11 pixels where a page shows a figure 900 pixels wide."""
+DPI = 140
+_RC: Any = {
+    "font.family": "DejaVu Sans",
+    "font.size": 8,
+    "axes.edgecolor": RULE,
+    "axes.labelcolor": INK,
+    "axes.linewidth": 0.8,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "text.color": INK,
+    "xtick.color": FAINT,
+    "ytick.color": FAINT,
+    "xtick.labelsize": 7.5,
+    "ytick.labelsize": 7.5,
+    "xtick.major.size": 2.5,
+    "ytick.major.size": 2.5,
+    "grid.color": "#eceef2",
+    "grid.linewidth": 0.8,
+}
+
+
+@contextmanager
+def styled() -> Iterator[None]:
+    """Matplotlib's settings of these figures, for as long as one is drawn."""
+    with matplotlib.rc_context(_RC):
+        yield
+
+
+def keypoint_colours(count: int) -> np.ndarray:
+    """(count, 3): one colour an index, the same wherever it is drawn; neighbours in index are far apart in hue."""
+    levels = ((0.50, 0.85), (0.66, 0.80), (0.38, 0.80))
+    return np.array([colorsys.hls_to_rgb(i * 0.381966 % 1, *levels[i % len(levels)]) for i in range(count)])
+
+
+def object_colours(count: int) -> list[str]:
+    """One colour an object; they repeat after the twelfth."""
+    return [OBJECT_COLOURS[i % len(OBJECT_COLOURS)] for i in range(count)]
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """A figure of rows and columns of panels with room for headers above and labels at the left; inches."""
+
+    figure: Figure
+    widths: tuple[float, ...]
+    heights: tuple[float, ...]
+    left: float
+    top: float
+    gap: tuple[float, float]
+    """Between columns, and between rows."""
+
+    @classmethod
+    def of(
+        cls,
+        rows: int,
+        columns: int,
+        aspect: float,
+        left: float = 0.28,
+        top: float = 0.3,
+        bottom: float = 0.08,
+        gap: tuple[float, float] = (0.06, 0.06),
+        right: float = 0.06,
+        shares: Sequence[float] | None = None,
+    ) -> Sheet:
+        """``aspect``: height of a panel over the width of a column of share 1."""
+        shares = shares or [1.0] * columns
+        unit = (WIDTH - left - right - gap[0] * (columns - 1)) / sum(shares)
+        heights = (unit * aspect,) * rows
+        height = top + sum(heights) + gap[1] * (rows - 1) + bottom
+        figure = Figure(figsize=(WIDTH, height), facecolor="white")
+        return cls(figure, tuple(unit * s for s in shares), heights, left, top, gap)
+
+    def panel(self, row: int, column: int) -> Axes:
+        x, y, width, height = self._box(row, column)
+        total = self.figure.get_figheight()
+        return self.figure.add_axes((x / WIDTH, (total - y - height) / total, width / WIDTH, height / total))
+
+    def header(self, column: int, text: str, last: int | None = None, above: float = 0.09) -> None:
+        """Over a column, or over all columns from ``column`` to ``last``."""
+        x, y, width, _ = self._box(0, column)
+        if last is not None:
+            end, _, end_width, _ = self._box(0, last)
+            width = end + end_width - x
+        self._text(x + width / 2, y - above, text, ha="center", va="bottom", fontsize=8.5)
+
+    def label(self, row: int, text: str) -> None:
+        """Upright at the left of a row."""
+        _, y, _, height = self._box(row, 0)
+        self._text(0.12, y + height / 2, text, ha="center", va="center", rotation=90, fontsize=8.5, weight="bold")
+
+    def rule(self, row: int) -> None:
+        """A thin line above a row."""
+        _, y, _, _ = self._box(row, 0)
+        at = 1 - (y - self.gap[1] / 2) / self.figure.get_figheight()
+        line = matplotlib.lines.Line2D([0.005, 0.995], [at, at], color=RULE, linewidth=0.8)  # type: ignore[attr-defined]
+        self.figure.add_artist(line)
+
+    def note(self, text: str) -> None:
+        """A line at the foot of the figure."""
+        self.figure.text(0.5, 0.06 / self.figure.get_figheight(), text, ha="center", va="bottom", color=FAINT)
+
+    def _text(self, x: float, y: float, text: str, **style: Any) -> None:
+        self.figure.text(x / WIDTH, 1 - y / self.figure.get_figheight(), text, **style)
+
+    def _box(self, row: int, column: int) -> tuple[float, float, float, float]:
+        """Left, top, width and height of a panel, from the figure's top left corner."""
+        x = self.left + [0, *accumulate(w + self.gap[0] for w in self.widths)][column]
+        y = self.top + [0, *accumulate(h + self.gap[1] for h in self.heights)][row]
+        return x, y, self.widths[column], self.heights[row]
+
+
+def save(figure: Figure, path: Path) -> None:
+    """Write a PNG of 256 colours: a third of the size, and the eye sees no difference."""
+    buffer = io.BytesIO()
+    figure.savefig(buffer, dpi=DPI, format="png")
+    image = Image.open(buffer).convert("RGB")
+    small = image.quantize(256, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
+    write_atomic(path, lambda temporary: small.save(temporary, optimize=True))
