@@ -18,6 +18,7 @@ __all__ = [
     "Known",
     "Observation",
     "ShapeIndex",
+    "Tracker",
     "get_category",
     "show",
 ]
@@ -30,6 +31,7 @@ _HOMES = {
     "Known": "known",
     "Observation": "observation",
     "ShapeIndex": "retrieval.index",
+    "Tracker": "tracking.tracker",
     "get_category": "spec_file",
     "show": "report",
 }
@@ -43,6 +45,7 @@ if TYPE_CHECKING:
     from .report import show
     from .retrieval.index import ShapeIndex
     from .spec_file import get_category
+    from .tracking.tracker import Tracker
 
 
 def __getattr__(name: str) -> Any:

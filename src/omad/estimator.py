@@ -105,6 +105,24 @@ class Estimator:
         """Estimate an object that was seen before, a moment ago say: one look is enough, which takes half the time."""
         return self._estimate([observation], NOTHING_KNOWN, near)[0]
 
+    def moved(self, estimate: Estimate, state: Near, covariance: np.ndarray) -> Estimate:
+        """The answer with another shape, pose and joint states, those of a filter say; ``covariance`` (P, P) theirs."""
+        like = self.net.prior.learned_basis
+        placed = _Placed.of(self.net.prior, state.start(self.category, like), self.category.metres_per_unit)
+        std = np.sqrt(np.clip(np.diag(covariance), 0, None))
+        return replace(
+            estimate,
+            beta=placed.beta[0],
+            T_camera_base=placed.T_camera_part[0, 0],
+            T_camera_part=placed.T_camera_part[0],
+            joints=placed.joints(self.category, 0, std[6:]),
+            keypoints=placed.keypoints[0],
+            canonical_keypoints=placed.canonical[0],
+            canonical_axes=placed.canonical_axes[0],
+            canonical_pivots=placed.canonical_pivots[0],
+            covariance=covariance,
+        )
+
     @torch.no_grad()
     def _estimate(self, observations: Sequence[Observation], known: Known, near: Near | None = None) -> list[Estimate]:
         began = time.perf_counter()

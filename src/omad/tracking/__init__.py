@@ -1,0 +1,1 @@
+"""Objects followed through sequences of frames: ``omad.Tracker``."""
