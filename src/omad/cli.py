@@ -21,6 +21,7 @@ from . import commands_figures as f
 from . import commands_import as i
 from . import commands_retrieval as r
 from . import commands_tables as b
+from . import commands_track as k
 from . import commands_train as t
 from .errors import InputError, WorkError
 from .tables import readable
@@ -60,6 +61,7 @@ _Index = Annotated[
 _Command = (
     Annotated[c.Demo, _name("demo")]
     | Annotated[c.Estimate, _name("estimate")]
+    | Annotated[k.Track, _name("track")]
     | Annotated[c.Generate, _name("generate")]
     | Annotated[i.Import, _name("import")]
     | Annotated[c.Render, _name("render")]

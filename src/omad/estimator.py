@@ -45,10 +45,12 @@ class EstimatorConfig:
 
     samples: tuple[int, ...] = (1, 3)
     """Per look, how many random choices of the points it averages. The first look only has to find the frame."""
-    near_samples: int = 1
+    near_samples: int = 2
     """The same of the only look at an object that is known to be near a place."""
     refinement: RefinementConfig = RefinementConfig(step_tolerance=1e-4, cost_tolerance=1e-5)
     """Tolerances a hundred times below the network's own error: half the iterations of the defaults."""
+    confidence: bool = True
+    """False: all keypoints of an object count alike, as in the paper; for comparison."""
     method: Literal["least_squares", "adam"] = "least_squares"
     """'adam' is the paper's own recipe, for comparison: slow, and it gives no covariance."""
     seed: int = 0
@@ -163,7 +165,10 @@ class Estimator:
         batch, samples = clouds.shape[:2]
         frames = frame[:, None].expand(-1, samples, -1, -1).flatten(0, 1)
         said: Prediction = self.net(to_input_frame(clouds.flatten(0, 1), frames))
-        precision = (-2 * said.log_sigma).exp().unflatten(0, (batch, samples))
+        log_sigma = said.log_sigma
+        if not self.config.confidence:
+            log_sigma = log_sigma.mean(-1, keepdim=True).expand_as(log_sigma)
+        precision = (-2 * log_sigma).exp().unflatten(0, (batch, samples))
         keypoints = transform_points(frames, said.keypoints).unflatten(0, (batch, samples))
         total = precision.sum(1)
         mean = (precision[..., None] * keypoints).sum(1) / total[..., None]
