@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -67,7 +68,7 @@ class _Drawing:
             files.append(self.output / f"{stem}.png")
             save(draw(), files[-1])
         files.append(self.output / f"{name}.json")
-        write_json(files[-1], {"source": self.source, "seed": self.seed, "categories": numbers})
+        write_json(files[-1], {"source": self.source, "seed": self.seed, "categories": _rounded(numbers)})
         return 0, {"files": [str(file) for file in files]}
 
 
@@ -222,6 +223,17 @@ class FigureTsne(_Drawing):
             rows.append((signatures, tsne.embed(signatures, self.seed)))
         numbers = [tsne.record(*row) for row in rows]
         return self._write("tsne", {"tsne": lambda: tsne.draw(rows)}, numbers)
+
+
+def _rounded(value: Any) -> Any:
+    """Numbers with six significant digits: files stay small, and no figure shows more. Unknown ones are null."""
+    if isinstance(value, dict):
+        return {key: _rounded(inner) for key, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [_rounded(inner) for inner in value]
+    if isinstance(value, float):
+        return float(f"{value:.6g}") if math.isfinite(value) else None
+    return value
 
 
 def _priornet(folder: Path, device: str) -> PriorNet | None:
