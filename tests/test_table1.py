@@ -67,7 +67,7 @@ def test_all_methods_on_the_same_views_and_again_from_the_cache(weights, capsys,
     assert compared["alignment_over_refinement"] > 1
     assert found["left_out"] == []
 
-    monkeypatch.setattr("omad.commands_tables.predict", None)  # nothing is predicted again
+    monkeypatch.setattr("omad.experiments.predictions.predict", None)  # nothing is predicted again
     assert answer(capsys, *TABLE, "--weights", "weights") == found
     assert run([*TABLE, "--weights", "weights"]) == 0
     assert "in the paper" in capsys.readouterr().out

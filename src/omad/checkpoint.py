@@ -30,7 +30,8 @@ WEIGHTS = Path(__file__).parent / "weights"
 
 def save_net(net: OmadNet, folder: Path, training: dict[str, Any]) -> None:
     """Write OMADNet with its prior and category. ``training`` is kept for the record."""
-    _save(net, folder, {"kind": "net", "backbone": asdict(net.backbone.config)}, net.category, training)
+    kind = {"kind": "net", "backbone": asdict(net.backbone.config), "attention": net.attention}
+    _save(net, folder, kind, net.category, training)
 
 
 def save_priornet(net: PriorNet, folder: Path, training: dict[str, Any]) -> None:
@@ -54,7 +55,7 @@ def load_net(folder: Path) -> OmadNet:
     config = _read_config(folder, "net")
     try:
         category = category_from_dict(config["category"])
-        net = OmadNet(category, OmadPrior(category), _backbone(config))
+        net = OmadNet(category, OmadPrior(category), _backbone(config), config.get("attention", True))
     except Exception as error:  # a network of senseless sizes raises anything
         raise _wrong_config(folder, error) from error
     return _load(net, folder)

@@ -43,6 +43,8 @@ _Eval = Annotated[
     | Annotated[e.EvalKeypoints, _name("keypoints")]
     | Annotated[e.EvalViews, _name("views")]
     | Annotated[b.EvalTable1, _name("table1")]
+    | Annotated[b.EvalTable2, _name("table2")]
+    | Annotated[b.EvalAblation, _name("ablation")]
     | Annotated[r.EvalRetrieval, _name("retrieval")],
     _name("eval", description="Measure accuracy on objects with known truth."),
 ]

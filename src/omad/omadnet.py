@@ -46,9 +46,13 @@ class Prediction:
 class OmadNet(nn.Module):
     """Backbone, three branches, and the prior that they speak the language of."""
 
-    def __init__(self, category: Category, prior: OmadPrior, backbone: BackboneConfig = SLIM) -> None:
+    def __init__(
+        self, category: Category, prior: OmadPrior, backbone: BackboneConfig = SLIM, attention: bool = True
+    ) -> None:
+        """``attention=False``: every centre's vote counts alike, to measure what the scores are good for."""
         super().__init__()
         self.category = category
+        self.attention = attention
         self.prior = prior.requires_grad_(False)
         self.backbone = PointNet2(backbone)
         width, dense = backbone.widths[2], backbone.dense
@@ -66,7 +70,8 @@ class OmadNet(nn.Module):
         features = self.backbone(points)
         state = self.state_branch(features.pooled)
         votes = self.keypoint_branch(features.dense).unflatten(-1, (-1, 5))  # (B, C, M, 5)
-        attention = votes[..., 3].softmax(1)
+        scores = votes[..., 3] if self.attention else torch.zeros_like(votes[..., 3])
+        attention = scores.softmax(1)
         placed = features.centres[:, :, None] + votes[..., :3]
         keypoints = (attention[..., None] * placed).sum(1)  # paper, Eq. 7, with scores that sum to one
         log_sigma = (attention * votes[..., 4]).sum(1) - 3.0  # starts near 0.05 units

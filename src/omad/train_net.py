@@ -50,6 +50,8 @@ class NetTraining:
     """Share of views shown in a disturbed base frame, as the second look at an object is."""
     turned: float = 0.15
     """Share of those that are turned by quarters too, as after a first answer that took one side for another."""
+    attention: bool = True
+    """Whether votes for keypoints have scores."""
 
 
 @dataclass(frozen=True)
@@ -132,7 +134,7 @@ def train_net(
     bank = SurfaceBank.from_models(models, category, seed=settings.schedule.seed).to(device)
     priornet = priornet.to(device).requires_grad_(False)
     nodes = object_keypoints(priornet, bank)
-    net = OmadNet(category, priornet.prior, settings.backbone).to(device)
+    net = OmadNet(category, priornet.prior, settings.backbone, settings.attention).to(device)
     if initial is not None:
         _start_from(net, initial)
 
@@ -146,6 +148,8 @@ def train_net(
 
     config = {"kind": "net", "category": asdict(category), "objects": [m.name for m in models]}
     config |= {"backbone": asdict(settings.backbone), "views": asdict(settings.views)}
+    if not settings.attention:
+        config["attention"] = False
     averaged = train(net, loss_terms, settings.schedule, folder, config)
     assert isinstance(averaged, OmadNet)
     return averaged

@@ -23,9 +23,10 @@ from tqdm import tqdm
 from ..categories import Category
 from ..errors import InputError
 from ..evaluation import true_pose
-from ..files import write_atomic
+from ..files import make_folder, write_atomic
 from ..metrics import ObjectPose
 from ..observation import Observation
+from ..sources.select import ViewSource
 from ..standard_views import View
 
 Identity = dict[str, str]
@@ -92,6 +93,36 @@ def data_identity(first: Sequence[View], source: str, settings: Mapping[str, Any
         for path in sorted(path for path in folder.rglob("*") if path.is_file()):
             digest.update(f"{path.relative_to(folder)} {path.stat().st_size}\n".encode())
     return digest.hexdigest()[:16]
+
+
+@dataclass(frozen=True)
+class Method:
+    """Something that estimates, and what its answers depend on."""
+
+    estimate: Estimate
+    made_of: Identity
+
+
+def kept_or_made(
+    cache: Path, data: Identity, methods: Mapping[str, Method], category: Category, load: Callable[[], ViewSource]
+) -> tuple[Truths, dict[str, Predictions]]:
+    """From the ``cache`` as far as they are there; the rest is made, all methods in turn on each view, and put there.
+
+    Raises InputError where the cache is of other data, weights or settings.
+    """
+    make_folder(cache)
+    truths = load_truths(cache / "truth.npz", data)
+    kept = {name: load_predictions(cache / f"{name}.npz", data | m.made_of) for name, m in methods.items()}
+    said = {name: found for name, found in kept.items() if found is not None}
+    missing = {name: method.estimate for name, method in methods.items() if name not in said}
+    if truths is None or missing:
+        source = load()
+        truths, new = predict(source.views, source.total, category, missing)
+        save_truths(cache / "truth.npz", truths, data)
+        for name, found in new.items():
+            save_predictions(cache / f"{name}.npz", found, data | methods[name].made_of)
+        said |= new
+    return truths, said
 
 
 def predict(

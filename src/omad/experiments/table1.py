@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -12,9 +12,15 @@ from ..metrics import ObjectPose, PoseErrors, bootstrap_interval, pose_errors
 from .box_iou import box_iou
 from .paper import TABLE1
 from .predictions import Predictions, Truths
+from .released import known_means, released_errors
+
+Metrics = Literal["ours", "released"]
+"""``released``: as the authors' own evaluation counts, see ``released``."""
 
 
-def rows(truths: Truths, said: dict[str, Predictions], category: Category) -> list[dict[str, Any]]:
+def rows(
+    truths: Truths, said: dict[str, Predictions], category: Category, metrics: Metrics = "ours"
+) -> list[dict[str, Any]]:
     """Lines of one category: ``ancsh`` (where it is among ``said``), ``omad_initial``, ``omad_refined``.
 
     Means over views, a number per joint or part; angles in degrees, lengths in category units.
@@ -27,10 +33,22 @@ def rows(truths: Truths, said: dict[str, Predictions], category: Category) -> li
         "omad_initial": replace(omad, refined=omad.initial, seconds=unrefined),
         "omad_refined": omad,
     }
-    return [_row(name, truths, found, category) for name, found in methods.items() if found is not None]
+    return [
+        row(name, truths, found, category, metrics) | {"paper": _paper(name, category)}
+        for name, found in methods.items()
+        if found is not None
+    ]
 
 
-def _row(method: str, truths: Truths, said: Predictions, category: Category) -> dict[str, Any]:
+def _paper(method: str, category: Category) -> dict[str, Any] | None:
+    found = TABLE1.get(category.name, {}).get(method)
+    return asdict(found) if found else None
+
+
+def row(
+    method: str, truths: Truths, said: Predictions, category: Category, metrics: Metrics = "ours"
+) -> dict[str, Any]:
+    """One line; keys as in the JSON of the commands."""
     unit = category.metres_per_unit
     turns = np.array(category.revolute)
     errors: list[PoseErrors] = [
@@ -41,9 +59,8 @@ def _row(method: str, truths: Truths, said: Predictions, category: Category) -> 
     states = np.where(turns, np.degrees(states), states / unit)
     distance = np.stack([e.axis_distance for e in errors]) / unit
     pivot = np.stack([e.pivot_distance for e in errors]) / unit
-    paper = TABLE1.get(category.name, {}).get(method)
     network, refinement, total = (None if np.isnan(c).all() else float(np.nanmedian(c)) for c in said.seconds.T)
-    return {
+    line = {
         "category": category.name,
         "method": method,
         "joint_state": _means(states),
@@ -57,7 +74,20 @@ def _row(method: str, truths: Truths, said: Predictions, category: Category) -> 
         "iou": _means(_ious(truths, said.refined, category)),
         "missing": sum(e.missing for e in errors),
         "seconds": {"network": network, "refinement": refinement, "total": total, "machine": said.machine},
-        "paper": asdict(paper) if paper else None,
+    }
+    return line | _released(truths, said, category) if metrics == "released" else line
+
+
+def _released(truths: Truths, said: Predictions, category: Category) -> dict[str, Any]:
+    unit, turns = category.metres_per_unit, np.array(category.revolute)
+    errors = released_errors(said.refined, truths.poses)
+    distance = known_means(errors.axis_distance / unit)
+    return {
+        "joint_state": known_means(np.where(turns, np.degrees(errors.joint_state), errors.joint_state / unit)),
+        "axis_error_deg": known_means(np.degrees(errors.axis)),
+        "axis_distance": [d if turn else None for d, turn in zip(distance, turns, strict=True)],
+        "rotation_error_deg": known_means(np.degrees(errors.rotation)),
+        "translation_error": known_means(errors.translation / unit),
     }
 
 

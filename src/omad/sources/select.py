@@ -93,3 +93,14 @@ def load_views(
     if rendered.category != category.name:
         raise InputError(f"{source}: views of {rendered.category}, not of {category.name}")
     return ViewSource(islice(rendered, skip, None), len(rendered), rendered.noise is not None)
+
+
+def shown_objects(
+    source: str, category: Category, objects: int, seed: int, broken: Broken
+) -> list[SampledObject] | None:
+    """The complete objects that ``load_views`` shows; None of a rendered folder, which holds none."""
+    if source != "procedural" and is_artimage(source):
+        return [thing.surface for thing in open_artimage(source, category, "test", broken).objects.values()]
+    if source != "procedural" and is_view_folder(Path(source)):
+        return None
+    return [*load_models(source, category, objects, "test", seed).models]

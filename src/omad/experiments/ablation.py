@@ -1,0 +1,74 @@
+"""Ablations: variants trained with the same small budget, and settings of one network, all on the same noisy views."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from ..categories import Category
+from ..checkpoint import load_priornet, save_net, save_priornet
+from ..objects import SampledObject
+from ..priornet import PriorNet
+from ..train_net import train_net
+from ..train_prior import PriorTraining, train_prior
+from ..training import Schedule
+from .variants import Trained
+
+
+def train_variant(
+    variant: Trained,
+    category: Category,
+    models: Sequence[SampledObject],
+    folder: Path,
+    name: str,
+    minutes: float,
+    seed: int,
+    device: torch.device,
+) -> Path:
+    """Train prior and network of one variant under ``folder``, a quarter of the time for the prior; what is finished
+    is not done again, what is half done goes on. Returns the network's checkpoint."""
+    checkpoint = checkpoint_of(folder, name)
+    if (checkpoint / "config.json").is_file():
+        return checkpoint
+    own = variant.category(category)
+    priornet = _prior(variant, own, models, folder, minutes / 4, seed, device)
+    schedule = _within(variant.training.schedule, 0.75 * minutes, seed)
+    training = replace(variant.training, schedule=schedule)
+    net = train_net(models, own, priornet, checkpoint, training, device)
+    save_net(net, checkpoint, _record(schedule))
+    return checkpoint
+
+
+def checkpoint_of(folder: Path, name: str) -> Path:
+    """Where a variant's network is."""
+    return folder / name.replace(" ", "-")
+
+
+def _prior(
+    variant: Trained,
+    category: Category,
+    models: Sequence[SampledObject],
+    folder: Path,
+    minutes: float,
+    seed: int,
+    device: torch.device,
+) -> PriorNet:
+    home = folder / variant.prior
+    if not (home / "config.json").is_file():
+        schedule = _within(PriorTraining().schedule, minutes, seed)
+        net = train_prior(models, category, home, PriorTraining(schedule=schedule), device)
+        save_priornet(net, home, _record(schedule))
+    return load_priornet(home)
+
+
+def _within(schedule: Schedule, minutes: float, seed: int) -> Schedule:
+    """A short training: the average of the weights forgets faster."""
+    return replace(schedule, max_minutes=minutes, seed=seed, average=0.99)
+
+
+def _record(schedule: Schedule) -> dict[str, Any]:
+    return {"source": "procedural", "schedule": asdict(schedule), "purpose": "ablation"}
