@@ -17,6 +17,7 @@ import tyro
 
 from . import commands as c
 from . import commands_eval as e
+from . import commands_explore as x
 from . import commands_figures as f
 from . import commands_import as i
 from . import commands_retrieval as r
@@ -64,6 +65,7 @@ _Command = (
     Annotated[c.Demo, _name("demo")]
     | Annotated[c.Estimate, _name("estimate")]
     | Annotated[k.Track, _name("track")]
+    | Annotated[x.Explore, _name("explore")]
     | Annotated[c.Generate, _name("generate")]
     | Annotated[i.Import, _name("import")]
     | Annotated[c.Render, _name("render")]

@@ -1,0 +1,145 @@
+"""The explorer's view in space: draws objects and clouds with viser, in the canonical base frame (y up)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import matplotlib
+import numpy as np
+import torch
+import trimesh
+import viser
+
+from ..geometry import matrix_to_quaternion
+from ..report import PART_COLOURS
+from .drawing import Drawing
+from .fitting import Fit
+
+AXIS_COLOUR = (200, 30, 60)
+LAYERS = ("hulls", "keypoints", "axes", "cloud", "seen keypoints")
+"""What can be shown and hidden; the last two are there after a fit."""
+
+
+class Scene:
+    """Shows one object and at most one fit."""
+
+    def __init__(self, server: viser.ViserServer, unit: float, part_of_keypoint: tuple[int, ...]) -> None:
+        """``unit``: metres that an object's radius is about, so that spheres and arrows fit any category."""
+        self._server, self._scene, self._unit = server, server.scene, unit
+        self._part_of = np.array(part_of_keypoint)
+        self._frames: dict[str, viser.FrameHandle] = {}
+        self._index_colours = False
+        self._drawing: Drawing | None = None
+        self._floor: float | None = None
+        self._scene.set_up_direction("+y")
+        for layer in LAYERS:
+            self._frames[layer] = self._scene.add_frame(f"/{layer}", show_axes=False)
+        camera = server.initial_camera
+        camera.position = (1.0 * unit, 1.1 * unit, 2.6 * unit)
+        camera.look_at = (0.0, 0.0, 0.0)
+        camera.up = (0.0, 1.0, 0.0)
+        camera.near = 0.01 * unit
+
+    def show(self, layer: str, visible: bool) -> None:
+        """Show or hide one of ``LAYERS``."""
+        self._frames[layer].visible = visible
+
+    def colour_by_index(self, by_index: bool) -> None:
+        """Keypoints in a colour each (the same place has the same colour on every object), or in their part's."""
+        self._index_colours = by_index
+        if self._drawing:
+            self._add_keypoints(self._drawing)
+
+    def draw(self, drawing: Drawing) -> None:
+        """Replace the object."""
+        self._drawing = drawing
+        with self._server.atomic():
+            self._add_keypoints(drawing)
+            self._scene.add_arrows(
+                "/axes/arrows",
+                drawing.arrows,
+                AXIS_COLOUR,
+                shaft_radius=0.012 * self._unit,
+                head_radius=0.035 * self._unit,
+                head_length=0.1 * self._unit,
+            )
+            for part, (hull, T) in enumerate(zip(drawing.hulls, drawing.T_base_part, strict=True)):
+                self._scene.add_mesh_simple(
+                    f"/hulls/{part}",
+                    hull.vertices.astype(np.float32),
+                    hull.faces,
+                    color=_bytes(PART_COLOURS[part % len(PART_COLOURS)]),
+                    opacity=0.4,
+                    flat_shading=True,
+                    side="double",
+                    cast_shadow=False,
+                    wxyz=_quaternion(T[:3, :3]),
+                    position=T[:3, 3],
+                )
+            self._lay_floor(drawing)
+
+    def show_fit(self, fit: Fit) -> None:
+        """Replace the cloud and the keypoints that the network saw."""
+        with self._server.atomic():
+            self._scene.add_point_cloud(
+                "/cloud/points",
+                fit.cloud.astype(np.float32),
+                _bytes(0.75 * PART_COLOURS[fit.labels % len(PART_COLOURS)]),
+                point_size=0.008 * self._unit,
+                point_shape="circle",
+                precision="float32",
+            )
+            self._spheres("/seen keypoints/spheres", fit.seen_keypoints, np.full((len(self._part_of), 3), 0.15), 0.013)
+
+    def clear_fit(self) -> None:
+        """Take cloud and seen keypoints away."""
+        for name in ("/cloud/points", "/seen keypoints/spheres"):
+            self._scene.remove_by_name(name)
+
+    def _add_keypoints(self, drawing: Drawing) -> None:
+        if self._index_colours:
+            colours = matplotlib.colormaps["hsv"](np.linspace(0, 1, len(self._part_of), endpoint=False))[:, :3]
+        else:
+            colours = PART_COLOURS[self._part_of % len(PART_COLOURS)]
+        self._spheres("/keypoints/spheres", drawing.keypoints, colours, 0.025)
+
+    def _spheres(self, name: str, centres: np.ndarray, colours: np.ndarray, radius: float) -> None:
+        """``radius`` in category units."""
+        ball = trimesh.creation.icosphere(subdivisions=2, radius=radius * self._unit)
+        self._scene.add_batched_meshes_simple(
+            name,
+            np.asarray(ball.vertices, dtype=np.float32),
+            np.asarray(ball.faces),
+            batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (len(centres), 1)),
+            batched_positions=centres,
+            batched_colors=_bytes(colours),
+            lod="off",
+            cast_shadow=False,
+        )
+
+    def _lay_floor(self, drawing: Drawing) -> None:
+        """A grid under the base, which stays where it is while other parts move: 10 cm a square, or 1 cm."""
+        low = float(drawing.hulls[0].vertices[:, 1].min()) - 0.02 * self._unit
+        if self._floor is not None and abs(low - self._floor) < 1e-4:
+            return
+        self._floor = low
+        cell = 0.1 if self._unit > 0.2 else 0.01
+        self._scene.add_grid(
+            "/floor",
+            width=40 * cell,
+            height=40 * cell,
+            plane="xz",
+            cell_size=cell,
+            section_size=5 * cell,
+            cell_color=(222, 222, 222),
+            section_color=(190, 190, 190),
+            position=(0.0, low, 0.0),
+        )
+
+
+def _bytes(colours: np.ndarray) -> Any:
+    return np.rint(255 * np.clip(colours, 0, 1)).astype(np.uint8)
+
+
+def _quaternion(rotation: np.ndarray) -> np.ndarray:
+    return matrix_to_quaternion(torch.as_tensor(rotation)[None])[0].numpy()
