@@ -118,7 +118,14 @@ def test_table3_of_all_methods_and_again_from_the_cache(capsys, monkeypatch):
     command += ["--queries", "5", "--weights", "weights"]
     found = answer(capsys, *command)
     methods = found["laptop"]
-    assert {"omad", "omad_initial", "siamese", "omad_keypoints", "omad_information"} <= methods.keys()
+    assert {
+        "omad",
+        "omad_initial",
+        "siamese",
+        "omad_keypoints",
+        "omad_information",
+        "omad_three_views",
+    } <= methods.keys()
     for part in methods.values():
         for scores in (part, part["large"], part["across_states"]):
             assert {"map_at_10", "nearest_neighbour", "first_tier", "second_tier"} == scores["chance"].keys()

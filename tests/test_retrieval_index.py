@@ -192,7 +192,7 @@ def test_an_index_of_another_version_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr("omad.retrieval.index.FORMAT", "omad-index-0")
     filled()[0].save(tmp_path / "index.npz")
     monkeypatch.undo()
-    with pytest.raises(InputError, match="'omad-index-0' is not omad-index-1"):
+    with pytest.raises(InputError, match="'omad-index-0' is not omad-index-2"):
         ShapeIndex.load(tmp_path / "index.npz")
 
 
@@ -221,16 +221,36 @@ def test_without_faiss_the_cure_is_named(monkeypatch):
 
 
 @pytest.mark.skipif(importlib.util.find_spec("faiss") is None, reason="FAISS is not installed (extra omad[faiss])")
-def test_faiss_finds_nearly_all_of_the_nearest_and_its_graph_is_kept(tmp_path: Path):
-    betas = np.random.default_rng(0).standard_normal((20_000, SIZE))
-    exact, graph = (ShapeIndex(Space.of(prior(), LAPTOP, "beta"), backend) for backend in ("exact", "faiss"))
+@pytest.mark.parametrize("views", [1, 20], ids=["shapes at random", "many views of each object"])
+def test_faiss_finds_nearly_all_of_the_nearest_and_its_graph_is_kept(tmp_path: Path, views: int):
+    rng = np.random.default_rng(0)
+    betas = np.repeat(rng.standard_normal((4000 // views, SIZE)), views, axis=0) + 0.1 * rng.standard_normal(
+        (4000, SIZE)
+    )
+    exact, graph = (ShapeIndex(Space.of(prior(), LAPTOP), backend) for backend in ("exact", "faiss"))
     for index in (exact, graph):
         index.add_betas(betas, [Entry(str(i)) for i in range(len(betas))])
-    asked = np.random.default_rng(1).standard_normal((100, SIZE))
+    asked = betas[::40] + 0.1 * rng.standard_normal((100, SIZE))
     truth, found = exact.nearest(asked, 10), graph.nearest(asked, 10)
     recall = np.mean([len(set(a) & set(b)) / 10 for a, b in zip(truth.rows, found.rows, strict=True)])
     assert recall > 0.99
-    np.testing.assert_allclose(found.distances[:, 0], truth.distances[:, 0], rtol=1e-4)
+    np.testing.assert_allclose(found.distances[:, 0], truth.distances[:, 0], rtol=1e-3)
     graph.save(tmp_path / "index.npz")
     again = ShapeIndex.load(tmp_path / "index.npz")
     np.testing.assert_array_equal(again.nearest(asked, 10).rows, found.rows)
+    graph.add_betas(betas[:1] + 9, [Entry("one more")])  # builds the graph anew
+    assert graph.nearest(betas[:1] + 9, 1).rows[0, 0] == 4000
+
+
+def test_information_takes_the_entries_doubt_into_account_and_keeps_it(tmp_path):
+    index, betas = filled()
+    doubtful = [Signature(index.space.prior, beta, 3 * np.eye(SIZE)) for beta in betas[:10]]
+    index.add(doubtful, [Entry(f"again {i}") for i in range(10)])
+    np.testing.assert_allclose(index.usual_covariance, 3 * 10 / 50 * np.eye(SIZE))  # 40 were certain
+    index.save(tmp_path / "index.npz")
+    again = ShapeIndex.load(tmp_path / "index.npz")
+    np.testing.assert_allclose(again.usual_covariance, index.usual_covariance)
+    query = Signature(index.space.prior, betas[30] + 0.1, 0.4 * np.eye(SIZE))
+    hit = again.search(query, 1, by_information=True)[0]
+    assert hit.entry.source == "file 30"
+    assert hit.distance == pytest.approx(0.1 * np.sqrt(SIZE) / np.sqrt(0.6 + 0.4), rel=1e-4)

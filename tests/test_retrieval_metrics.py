@@ -2,12 +2,17 @@
 
 import numpy as np
 import pytest
+import torch
 
 from omad.categories import DRAWER, EYEGLASSES, LAPTOP
-from omad.retrieval.distances import between, by_information
+from omad.prior import OmadPrior
+from omad.retrieval.distances import TOGETHER, Method, between, by_information, methods
 from omad.retrieval.experiment import DrawSettings, draw_across_states, draw_galleries, evaluate_draws, openness
+from omad.retrieval.index import Entry, ShapeIndex
 from omad.retrieval.metrics import average_precision, chance, rank, scores, tier
 from omad.retrieval.paper import TABLE3
+from omad.retrieval.pool import Pool
+from omad.retrieval.signature import Signature, Space, prior_fingerprint
 
 
 def ranked(*answers: str) -> np.ndarray:
@@ -69,7 +74,10 @@ def test_chance_is_its_closed_form(objects):
 def test_ranking_leaves_the_query_out_and_puts_what_is_missing_last():
     distances = np.array([[0.0, 3, np.nan, 1], [2, 0, 1, np.nan]])
     np.testing.assert_array_equal(rank(distances), [[0, 3, 1, 2], [1, 2, 0, 3]])
-    np.testing.assert_array_equal(rank(distances, np.array([0, 1])), [[3, 1, 2], [2, 0, 3]])
+    itself = np.eye(2, 4, dtype=bool)
+    np.testing.assert_array_equal(rank(distances, itself), [[3, 1, 2], [2, 0, 3]])
+    itself[0, 1] = True  # one query leaves out more than the other: it stands last, behind what is missing
+    np.testing.assert_array_equal(rank(distances, itself), [[3, 2, 0], [2, 0, 3]])
     assert rank(np.full((1, 3), np.nan)).shape == (1, 3)
 
 
@@ -79,9 +87,10 @@ def test_galleries_hold_all_views_of_their_objects_and_the_queries():
     for draw in draws:
         assert len(draw.gallery) == 30
         assert len(np.unique(objects[draw.gallery])) == 3
-        assert len(np.unique(draw.queries)) == 12
-        assert draw.itself is not None
-        np.testing.assert_array_equal(draw.gallery[draw.itself], draw.queries)
+        assert len(np.unique(draw.queries[:, 0])) == 12
+        assert np.isin(draw.queries, draw.gallery).all()
+        assert (objects[draw.queries] == objects[draw.queries[:, :1]]).all()
+        assert all(len(set(views)) == TOGETHER for views in draw.queries)
     assert len({name for draw in draws for name in objects[draw.gallery]}) == 8
     again = draw_galleries(objects, 3, DrawSettings(draws=30, queries=12))
     assert all((a.queries == b.queries).all() for a, b in zip(draws, again, strict=True))
@@ -95,7 +104,7 @@ def test_across_states_no_query_is_like_the_gallery():
     for draw in draw_across_states(objects, opened, 2, DrawSettings(draws=5)):
         assert opened[draw.gallery].max() < 0.3
         assert opened[draw.queries].min() > 0.7
-        assert set(objects[draw.queries]) == set(objects[draw.gallery])
+        assert set(objects[draw.queries].ravel()) == set(objects[draw.gallery])
         assert len(draw.gallery) == 6
 
 
@@ -112,23 +121,64 @@ def test_scores_of_views_that_tell_their_objects_and_of_views_that_do_not():
     objects = np.repeat([f"o{i}" for i in range(10)], 20)
     centre = np.repeat(rng.standard_normal((10, 6)), 20, axis=0)
     draws = draw_galleries(objects, 5, DrawSettings(draws=5, queries=30))
-    clear = evaluate_draws(draws, objects, between(centre + 1e-3 * rng.standard_normal(centre.shape)))
+    clear = evaluate_draws(draws, objects, Method(between(centre + 1e-3 * rng.standard_normal(centre.shape))))
     assert clear["map_at_10"] == clear["first_tier"] == 1
     assert (clear["objects"], clear["gallery"], clear["draws"]) == (5, 100, 5)
-    blind = evaluate_draws(draws, objects, between(rng.standard_normal(centre.shape)))
+    blind = evaluate_draws(draws, objects, Method(between(rng.standard_normal(centre.shape))))
     assert blind["map_at_10"] == pytest.approx(blind["chance"]["map_at_10"], abs=0.05)
     lost = centre.copy()
     lost[:] = np.nan
-    assert evaluate_draws(draws, objects, between(lost))["second_tier"] < 0.9
+    assert evaluate_draws(draws, objects, Method(between(lost)))["second_tier"] < 0.9
 
 
 def test_information_counts_only_what_is_known():
     betas = np.array([[0.0, 0.0], [0.0, 100.0], [1.0, 0.0]])
     covariances = np.tile(np.diag([1e-2, 1e6]), (3, 1, 1))
-    distance = by_information(betas, covariances)(np.array([0]), np.array([1, 2]))
+    distance = by_information(betas, covariances)(np.array([[0]]), np.array([1, 2]))
     np.testing.assert_allclose(distance, [[100 / np.sqrt(2e6), 1 / np.sqrt(2e-2)]])
     covariances[0] = np.nan
-    assert np.isnan(by_information(betas, covariances)(np.array([0]), np.array([1, 2]))).all()
+    assert np.isnan(by_information(betas, covariances)(np.array([[0]]), np.array([1, 2]))).all()
+
+
+def pool_of(objects: int, views: int, rng: np.random.Generator) -> Pool:
+    """Views whose errors are what their covariances say, large in another direction on each."""
+    size = LAPTOP.basis_size
+    truth = np.repeat(rng.standard_normal((objects, size)), views, axis=0)
+    spread = np.exp(rng.normal(-1, 1, truth.shape))
+    beta = truth + spread * rng.standard_normal(truth.shape)
+    covariance = np.square(spread)[:, :, None] * np.eye(size)
+    names = np.repeat([f"object {i}" for i in range(objects)], views)
+    return Pool(names, np.zeros((len(names), 1)), beta, beta, covariance)
+
+
+def test_several_views_tell_more_than_one():
+    rng = np.random.default_rng(0)
+    pool = pool_of(12, 15, rng)
+    pool.beta[0], pool.covariance[0] = np.nan, np.nan  # a view on which nothing was seen
+    prior = OmadPrior(LAPTOP, generator=torch.Generator().manual_seed(0))
+    found = methods(pool, pool.beta, prior, LAPTOP)
+    draws = draw_galleries(pool.objects, 12, DrawSettings(draws=3, queries=180))
+    reached = {name: evaluate_draws(draws, pool.objects, method)["map_at_10"] for name, method in found.items()}
+    assert reached["omad_three_views"] > reached["omad_keypoints"] + 0.02
+    assert reached["siamese_three_views"] > reached["siamese"] + 0.02
+    assert reached["omad_information"] > reached["omad"]
+
+
+def test_the_table_ranks_as_the_index_does():
+    rng = np.random.default_rng(1)
+    pool = pool_of(6, 4, rng)
+    prior = OmadPrior(LAPTOP, generator=torch.Generator().manual_seed(0))
+    made = prior_fingerprint(prior, LAPTOP)
+    signatures = [Signature(made, b, c) for b, c in zip(pool.beta, pool.covariance, strict=True)]
+    index = ShapeIndex(Space.of(prior, LAPTOP))
+    index.add(signatures, [Entry(str(row)) for row in range(len(signatures))])
+    found, every = methods(pool, None, prior, LAPTOP), np.arange(len(signatures))
+    for query in (0, 7):
+        for name, informed in (("omad_keypoints", False), ("omad_information", True)):
+            table = found[name].distance(np.array([[query]]), every)[0]
+            hits = index.search(signatures[query], len(index), informed)
+            distances = {int(hit.entry.name): hit.distance for hit in hits}
+            np.testing.assert_allclose([distances[row] for row in every], table, rtol=1e-4, atol=1e-5)
 
 
 def test_the_papers_column_is_complete():

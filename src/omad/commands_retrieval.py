@@ -253,10 +253,10 @@ class EvalRetrieval:
         large = draw_galleries(pool.objects, total, settings)
         across = draw_across_states(pool.objects, openness(pool.states, category), count, settings)
         answer = {}
-        for name, distance in methods(pool, embeddings, estimator.net.prior, category).items():
-            answer[name] = evaluate_draws(usual, pool.objects, distance) | {
-                "large": evaluate_draws(large, pool.objects, distance),
-                "across_states": evaluate_draws(across, pool.objects, distance),
+        for name, method in methods(pool, embeddings, estimator.net.prior, category).items():
+            answer[name] = evaluate_draws(usual, pool.objects, method) | {
+                "large": evaluate_draws(large, pool.objects, method),
+                "across_states": evaluate_draws(across, pool.objects, method),
                 "paper": getattr(paper, name, None),
             }
         return answer

@@ -1,56 +1,95 @@
-"""How unlike two views are, by every method that is compared: (Q, G) distances between views of a pool."""
+"""How unlike queries and a gallery's views are, by every method that is compared."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
 from ..categories import Category
 from ..prior import OmadPrior
 from .pool import Pool
-from .signature import Space
+from .signature import Signature, Space, fuse, information_factor
 
-Distance = Callable[[np.ndarray, np.ndarray], np.ndarray]
-"""From rows of the queries (Q,) and of the gallery (G,) in a pool to (Q, G)."""
+TOGETHER = 3
+"""Views of one object that a query of several views has."""
 
 
-def methods(pool: Pool, embeddings: np.ndarray | None, prior: OmadPrior, category: Category) -> dict[str, Distance]:
-    """``omad`` and ``omad_initial`` are Euclidean distances of beta, as in the paper; ``omad_keypoints``,
-    ``omad_whitened`` compare refined betas in those spaces; ``omad_information`` in the query's own standard
-    deviations; ``siamese``, where there are ``embeddings`` (V, E), is Euclidean."""
+@dataclass(frozen=True)
+class Method:
+    """A way to rank the views of a gallery."""
+
+    distance: Callable[[np.ndarray, np.ndarray], np.ndarray]
+    """From rows of a pool, of the queries (Q, views) and of the gallery (G,), to distances (Q, G)."""
+    views: int = 1
+    """Of one object in a query."""
+
+
+def methods(pool: Pool, embeddings: np.ndarray | None, prior: OmadPrior, category: Category) -> dict[str, Method]:
+    """``omad`` and ``omad_initial`` are the Euclidean distance of beta, as in the paper. ``omad_keypoints`` compares
+    refined betas as ``omad index`` does, by the distance between canonical keypoints; ``omad_whitened`` in the prior's
+    standard deviations, ``omad_information`` in those of query and gallery. ``omad_three_views`` is ``omad_keypoints``
+    with several views fused into a query. ``siamese``, where there are ``embeddings`` (V, E), is Euclidean, and
+    ``siamese_three_views`` takes their mean."""
+    keypoints = Space.of(prior, category, "keypoints").factor
+    whitened = Space.of(prior, category, "whitened").factor
     found = {
-        "omad": between(pool.beta),
-        "omad_initial": between(pool.initial),
-        "omad_keypoints": between(pool.beta @ Space.of(prior, category, "keypoints").factor.T),
-        "omad_whitened": between(pool.beta @ Space.of(prior, category, "whitened").factor.T),
-        "omad_information": by_information(pool.beta, pool.covariance),
+        "omad": Method(between(pool.beta)),
+        "omad_initial": Method(between(pool.initial)),
+        "omad_keypoints": Method(between(pool.beta, keypoints)),
+        "omad_whitened": Method(between(pool.beta, whitened)),
+        "omad_information": Method(by_information(pool.beta, pool.covariance)),
+        "omad_three_views": Method(of_fused(pool, keypoints), TOGETHER),
     }
     if embeddings is not None:
-        found["siamese"] = between(embeddings)
+        found["siamese"] = Method(between(embeddings))
+        found["siamese_three_views"] = Method(between(embeddings), TOGETHER)
     return found
 
 
-def between(vectors: np.ndarray) -> Distance:
-    """Euclidean distance of vectors (V, D)."""
+def between(vectors: np.ndarray, factor: np.ndarray | None = None) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
+    """Euclidean distance of ``factor @ vector`` of vectors (V, D), of the mean of a query's views."""
+    compared = vectors if factor is None else vectors @ factor.T
 
     def distance(queries: np.ndarray, gallery: np.ndarray) -> np.ndarray:
-        return np.linalg.norm(vectors[queries][:, None] - vectors[gallery][None], axis=-1)
+        return _euclidean(compared[queries].mean(1), compared[gallery])
 
     return distance
 
 
-def by_information(betas: np.ndarray, covariances: np.ndarray) -> Distance:
-    """Distance in standard deviations of the difference: the query's covariance and the gallery's mean one."""
+def by_information(betas: np.ndarray, covariances: np.ndarray) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
+    """What ``ShapeIndex.search`` does by information: of single views with betas (V, D), covariances (V, D, D)."""
 
     def distance(queries: np.ndarray, gallery: np.ndarray) -> np.ndarray:
         usual = np.nanmean(covariances[gallery], axis=0)
         rows = np.full((len(queries), len(gallery)), np.nan)
-        for number, query in enumerate(queries):
-            together = covariances[query] + usual
-            if np.isfinite(together).all():
-                away = betas[gallery] - betas[query]
-                rows[number] = np.sqrt(np.einsum("gi,ij,gj->g", away, np.linalg.inv(together), away))
+        for number, query in enumerate(queries[:, 0]):
+            if np.isfinite(covariances[query]).all():
+                factor = information_factor(covariances[query], usual)
+                rows[number] = _euclidean(betas[query][None] @ factor.T, betas[gallery] @ factor.T)[0]
         return rows
 
     return distance
+
+
+def of_fused(pool: Pool, factor: np.ndarray) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
+    """As ``between`` of refined betas, of queries that are fused as ``omad index query`` fuses its inputs; views that
+    showed nothing are left out."""
+
+    def beta(views: np.ndarray) -> np.ndarray:
+        seen = [view for view in views if np.isfinite(pool.covariance[view]).all()]
+        if not seen:
+            return np.full(pool.beta.shape[1], np.nan)
+        return fuse([Signature("", pool.beta[view], pool.covariance[view]) for view in seen]).beta
+
+    def distance(queries: np.ndarray, gallery: np.ndarray) -> np.ndarray:
+        fused = np.stack([beta(views) for views in queries])
+        return _euclidean(fused @ factor.T, pool.beta[gallery] @ factor.T)
+
+    return distance
+
+
+def _euclidean(queries: np.ndarray, gallery: np.ndarray) -> np.ndarray:
+    """(Q, G) from (Q, D) and (G, D)."""
+    return np.linalg.norm(queries[:, None] - gallery[None], axis=-1)

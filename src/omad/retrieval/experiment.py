@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..categories import Category
-from .distances import Distance
+from .distances import TOGETHER, Method
 from .metrics import Scores, chance, mean_scores, rank, scores
 
 
@@ -20,9 +20,8 @@ class Draw:
     gallery: np.ndarray
     """(G,)."""
     queries: np.ndarray
-    """(Q,)."""
-    itself: np.ndarray | None
-    """(Q,) where each query stands in the gallery, to be left out; None where the gallery holds none of them."""
+    """(Q, TOGETHER): a view, and other views of the same object for the methods that take several. Those that a method
+    takes are no answers to it."""
 
 
 @dataclass(frozen=True)
@@ -41,8 +40,8 @@ def draw_galleries(objects: np.ndarray, count: int, settings: DrawSettings) -> l
     found = []
     for _ in range(settings.draws):
         gallery = np.nonzero(np.isin(objects, rng.choice(names, min(count, len(names)), replace=False)))[0]
-        itself = rng.choice(len(gallery), min(settings.queries, len(gallery)), replace=False)
-        found.append(Draw(gallery, gallery[itself], itself))
+        queries = rng.choice(gallery, min(settings.queries, len(gallery)), replace=False)
+        found.append(Draw(gallery, _with_others(queries, gallery, objects, rng)))
     return found
 
 
@@ -63,8 +62,19 @@ def draw_across_states(objects: np.ndarray, opened: np.ndarray, count: int, sett
         chosen = rng.choice(len(names), min(count, len(names)), replace=False)
         asked = np.concatenate([open_views[i] for i in chosen])
         queries = rng.choice(asked, min(settings.queries, len(asked)), replace=False)
-        found.append(Draw(np.concatenate([closed_views[i] for i in chosen]), queries, None))
+        gallery = np.concatenate([closed_views[i] for i in chosen])
+        found.append(Draw(gallery, _with_others(queries, asked, objects, rng)))
     return found
+
+
+def _with_others(queries: np.ndarray, among: np.ndarray, objects: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """(Q, TOGETHER): queries (Q,), each with random other views of its object, or itself again where there are none."""
+    rows = []
+    for query in queries:
+        others = among[(objects[among] == objects[query]) & (among != query)]
+        taken = rng.permutation(others)[: TOGETHER - 1]
+        rows.append([query, *taken, *[query] * (TOGETHER - 1 - len(taken))])
+    return np.array(rows)
 
 
 def openness(states: np.ndarray, category: Category) -> np.ndarray:
@@ -75,14 +85,17 @@ def openness(states: np.ndarray, category: Category) -> np.ndarray:
     return (states / far).mean(1)
 
 
-def evaluate_draws(draws: list[Draw], objects: np.ndarray, distance: Distance, seed: int = 0) -> dict[str, Any]:
+def evaluate_draws(draws: list[Draw], objects: np.ndarray, method: Method, seed: int = 0) -> dict[str, Any]:
     """Scores averaged over draws, how mAP@10 varies between them, and the chance level on the same galleries."""
     rng = np.random.default_rng(seed)
     found: list[Scores] = []
     random: list[Scores] = []
     for draw in draws:
-        order = rank(distance(draw.queries, draw.gallery), draw.itself)
-        relevant = objects[draw.gallery][order] == objects[draw.queries][:, None]
+        queries = draw.queries[:, : method.views]
+        left_out = (queries[:, :, None] == draw.gallery).any(1)
+        order = rank(method.distance(queries, draw.gallery), left_out)
+        same = (objects[draw.gallery] == objects[queries[:, :1]]) & ~left_out
+        relevant = np.take_along_axis(same, order, 1)
         found.append(scores(relevant))
         random.append(chance(relevant, rng, permutations=1))
     return {

@@ -15,9 +15,9 @@ from ..errors import InputError
 from ..files import write_atomic
 from .approximate import GraphSearch
 from .search import ExactSearch, Neighbours
-from .signature import Signature, Space
+from .signature import Signature, Space, information_factor
 
-FORMAT = "omad-index-1"
+FORMAT = "omad-index-2"
 Backend = Literal["exact", "faiss"]
 
 
@@ -61,6 +61,7 @@ class ShapeIndex:
         self.backend: Backend = backend
         self.entries: list[Entry] = []
         self._betas = np.zeros((0, len(space.factor)), dtype=np.float32)
+        self._covariances = np.zeros_like(space.factor)
         self._added: list[np.ndarray] = []
         self._search: Search | None = None
 
@@ -74,6 +75,11 @@ class ShapeIndex:
             self._betas, self._added = np.concatenate([self._betas, *self._added]), []
         return self._betas
 
+    @property
+    def usual_covariance(self) -> np.ndarray:
+        """(D, D) mean of the entries'; those of unknown covariance, as of object models, count as certain."""
+        return self._covariances / max(len(self), 1)
+
     def add(self, signatures: Sequence[Signature], entries: Sequence[Entry]) -> None:
         """Add objects. Raises InputError for a signature of another prior."""
         if len(signatures) != len(entries):
@@ -82,6 +88,8 @@ class ShapeIndex:
             self.space.check(signature)
         if signatures:
             self.add_betas(np.stack([signature.beta for signature in signatures]), entries)
+            known = [signature.covariance for signature in signatures if signature.covariance is not None]
+            self._covariances = self._covariances + sum(known)
 
     def add_betas(self, betas: np.ndarray, entries: Sequence[Entry]) -> None:
         """``add`` for many at a time: betas (n, D) that are known to be of this prior."""
@@ -95,15 +103,15 @@ class ShapeIndex:
     def search(self, signature: Signature, count: int = 10, by_information: bool = False) -> list[Hit]:
         """The ``count`` nearest entries, nearest first.
 
-        ``by_information`` weighs every direction of beta by how surely this one query knows it (distances are then in
-        its standard deviations); all entries are compared, whatever the backend.
+        ``by_information`` weighs every direction of beta by how surely this one query and the entries know it
+        (distances are then in standard deviations); all entries are compared, whatever the backend.
         Raises InputError for a signature of another prior, and where its covariance is needed and not known.
         """
         self.space.check(signature)
         if by_information:
             if signature.covariance is None:
                 raise InputError("the query's covariance is not known; leave out the weighting by information")
-            factor = np.linalg.inv(np.linalg.cholesky(signature.covariance))
+            factor = information_factor(signature.covariance, self.usual_covariance)
             query = (factor @ signature.beta)[None]
             found = ExactSearch(self.betas @ factor.T).nearest(query, min(count, len(self)))
         else:
@@ -152,6 +160,7 @@ class ShapeIndex:
             "head": np.frombuffer(json.dumps(head).encode(), dtype=np.uint8),
             "factor": self.space.factor,
             "betas": self.betas,
+            "covariances": self._covariances,
             "thumbnails": np.frombuffer(b"".join(entry.thumbnail for entry in self.entries), dtype=np.uint8),
             "thumbnail_sizes": np.array([len(entry.thumbnail) for entry in self.entries], dtype=np.int64),
         }
@@ -181,6 +190,7 @@ class ShapeIndex:
             columns = zip(head["names"], head["sources"], starts.tolist(), ends.tolist(), strict=True)
             entries = [Entry(name, source, pictures[start:end]) for name, source, start, end in columns]
             index.add_betas(arrays["betas"], entries)
+            index._covariances = arrays["covariances"]
             if "graph" in arrays:
                 index._search = GraphSearch.from_bytes(arrays["graph"])
         except (KeyError, ValueError, TypeError) as error:

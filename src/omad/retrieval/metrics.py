@@ -24,16 +24,17 @@ class Scores:
     """And among the first 2 R."""
 
 
-def rank(distances: np.ndarray, itself: np.ndarray | None = None) -> np.ndarray:
-    """Rows of the gallery (Q, G), nearest first, by ``distances`` (Q, G); NaN is farthest.
+def rank(distances: np.ndarray, left_out: np.ndarray | None = None) -> np.ndarray:
+    """Rows of the gallery (Q, n), nearest first, by ``distances`` (Q, G); NaN is farthest.
 
-    ``itself`` (Q,): the row that is each query itself, which is left out: (Q, G - 1) then.
+    ``left_out`` (Q, G) bool: what is no answer, as the query itself. It is cut off: n is G less the fewest that any
+    query leaves out; where a query leaves out more of them, the others stand last.
     """
-    distances = np.where(np.isnan(distances), np.inf, distances)
-    order = np.argsort(distances, axis=1, kind="stable")
-    if itself is None:
-        return order
-    return order[order != itself[:, None]].reshape(len(order), -1)
+    kept = np.where(np.isfinite(distances), distances, np.finfo(np.float64).max)
+    if left_out is None:
+        return np.argsort(kept, axis=1, kind="stable")
+    order = np.argsort(np.where(left_out, np.inf, kept), axis=1, kind="stable")
+    return order[:, : order.shape[1] - left_out.sum(1).min()]
 
 
 def average_precision(relevant: np.ndarray) -> np.ndarray:

@@ -98,6 +98,12 @@ def model_signatures(net: PriorNet, models: Sequence[SampledObject]) -> list[Sig
     return [Signature(prior, beta) for beta in betas]
 
 
+def information_factor(query: np.ndarray, usual: np.ndarray) -> np.ndarray:
+    """(D, D): Euclidean distance between ``factor @ beta`` counts in standard deviations of the difference between a
+    query, of covariance ``query`` (D, D), and the gallery's entries, whose covariance is usually ``usual`` (D, D)."""
+    return np.linalg.inv(np.linalg.cholesky(query + usual))
+
+
 def fuse(signatures: Sequence[Signature]) -> Signature:
     """One object's signature from several views of it: the mean, each weighted by its information (inverse covariance)
     where all have one. Raises InputError for none, and for signatures of several priors."""
