@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib.util
 import socket
 import sys
@@ -76,7 +77,8 @@ class Explore:
 
         from .explore.page import ExplorerPage
 
-        server = viser.ViserServer(self.host, port, label=f"OMAD · {estimator.category.name}", verbose=False)
+        with contextlib.redirect_stdout(sys.stderr):  # stdout is for the answer; viser greets there
+            server = viser.ViserServer(self.host, port, label=f"OMAD · {estimator.category.name}", verbose=False)
         page = ExplorerPage(server, estimator, self.components, self.seed)
         try:
             if request is not None:
@@ -88,7 +90,8 @@ class Explore:
         except KeyboardInterrupt:
             print("omad: ended", file=sys.stderr)
         finally:
-            server.stop()
+            with contextlib.redirect_stdout(sys.stderr):
+                server.stop()
             page.close()
 
 

@@ -16,7 +16,7 @@ from ..observation import Observation
 from ..sources.procedural import generate
 from ..standard_views import standard_view
 
-MAX_POINTS = 20_000
+MAX_POINTS = 8_000
 """Of a cloud that are drawn."""
 
 

@@ -6,6 +6,7 @@ import threading
 from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Literal
 
 import numpy as np
 import viser
@@ -16,6 +17,7 @@ from .drawing import SIGMAS, ObjectSpace, ObjectState
 from .fitting import Fit, FitRequest, describe_fit, fit_demo, fit_file
 from .scene import LAYERS, Scene
 
+Colour = Literal["blue", "gray"]
 WHOLE_IMAGE, ON_PLANE = "whole image, mask or box", "largest thing on the dominant plane"
 
 
@@ -52,8 +54,10 @@ class ExplorerPage:
         gui = self._server.gui
         self.found = gui.add_markdown("", visible=False)
         self._on_click("Random object", self._randomise, "A shape from the prior, with random joint states.")
-        self._on_click("Mean object, at rest", self._reset, "Every slider back to where it was at first.")
-        self.back = self._on_click("Back to what was found", self._show_estimate, "Every slider to the estimate.")
+        self._on_click("Mean object, at rest", self._reset, "Every slider back to where it was at first.", "gray")
+        self.back = self._on_click(
+            "Back to what was found", self._show_estimate, "Every slider to the estimate.", "gray"
+        )
         self.back.visible = False
         with gui.add_folder("Joints"):
             self.joints = [self._joint_slider(number) for number in range(len(self.space.joint_ranges))]
@@ -88,7 +92,7 @@ class ExplorerPage:
         self._on_click("Fit this file", self._fit_path, "Estimate the object in it and set the sliders to it.")
         self._upload("Upload a file and fit it", self._fit_upload)
         self._on_click("Fit an unseen procedural object", self._fit_demo, "No file needed.")
-        self._on_click("Clear", self._clear_fit, "Take the cloud away.")
+        self._on_click("Clear", self._clear_fit, "Take the cloud away.", "gray")
 
     def _joint_slider(self, number: int) -> viser.GuiSliderHandle[float]:
         joint = self.space.joint_ranges[number]
@@ -118,8 +122,10 @@ class ExplorerPage:
         box = self._server.gui.add_checkbox(layer, True)
         box.on_update(lambda _: self._scene.show(layer, box.value))
 
-    def _on_click(self, label: str, act: Callable[[], None], hint: str) -> viser.GuiButtonHandle:
-        button = self._server.gui.add_button(label, hint=hint)
+    def _on_click(
+        self, label: str, act: Callable[[], None], hint: str, colour: Colour = "blue"
+    ) -> viser.GuiButtonHandle:
+        button = self._server.gui.add_button(label, hint=hint, color=colour)
         button.on_click(lambda event: self._told(event.client, act))
         return button
 

@@ -32,10 +32,13 @@ class Scene:
         self._drawing: Drawing | None = None
         self._floor: float | None = None
         self._scene.set_up_direction("+y")
+        self._scene.configure_default_lights(False)  # they wash the parts' colours out
+        self._scene.add_light_ambient("/light/all", intensity=1.6)
+        self._scene.add_light_directional("/light/above", intensity=1.6, position=(1.0, 3.0, 2.0))
         for layer in LAYERS:
             self._frames[layer] = self._scene.add_frame(f"/{layer}", show_axes=False)
         camera = server.initial_camera
-        camera.position = (1.0 * unit, 1.1 * unit, 2.6 * unit)
+        camera.position = (0.9 * unit, 1.0 * unit, 2.2 * unit)
         camera.look_at = (0.0, 0.0, 0.0)
         camera.up = (0.0, 1.0, 0.0)
         camera.near = 0.01 * unit
@@ -69,7 +72,7 @@ class Scene:
                     hull.vertices.astype(np.float32),
                     hull.faces,
                     color=_bytes(PART_COLOURS[part % len(PART_COLOURS)]),
-                    opacity=0.4,
+                    opacity=0.3,
                     flat_shading=True,
                     side="double",
                     cast_shadow=False,
@@ -85,11 +88,11 @@ class Scene:
                 "/cloud/points",
                 fit.cloud.astype(np.float32),
                 _bytes(0.75 * PART_COLOURS[fit.labels % len(PART_COLOURS)]),
-                point_size=0.008 * self._unit,
+                point_size=0.006 * self._unit,
                 point_shape="circle",
                 precision="float32",
             )
-            self._spheres("/seen keypoints/spheres", fit.seen_keypoints, np.full((len(self._part_of), 3), 0.15), 0.013)
+            self._spheres("/seen keypoints/spheres", fit.seen_keypoints, np.full((len(self._part_of), 3), 0.1), 0.015)
 
     def clear_fit(self) -> None:
         """Take cloud and seen keypoints away."""
@@ -101,7 +104,7 @@ class Scene:
             colours = matplotlib.colormaps["hsv"](np.linspace(0, 1, len(self._part_of), endpoint=False))[:, :3]
         else:
             colours = PART_COLOURS[self._part_of % len(PART_COLOURS)]
-        self._spheres("/keypoints/spheres", drawing.keypoints, colours, 0.025)
+        self._spheres("/keypoints/spheres", drawing.keypoints, colours, 0.03)
 
     def _spheres(self, name: str, centres: np.ndarray, colours: np.ndarray, radius: float) -> None:
         """``radius`` in category units."""
