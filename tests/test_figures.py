@@ -1,6 +1,7 @@
 """Figures: their measurements are right, their commands write pictures and the numbers behind them."""
 
 import json
+import re
 import sys
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from omad.camera import STANDARD_CAMERA
 from omad.categories import CATEGORIES
 from omad.checkpoint import WEIGHTS as SHIPPED
 from omad.checkpoint import load_net, load_priornet, shipped_categories
+from omad.cli import run
 from omad.figures.correspondence import opened
 from omad.figures.occluders import hidden_share, occlude
 from omad.figures.scene import Window, shaded, studio
@@ -23,6 +25,9 @@ from omad.metrics import ObjectPose
 from omad.sources.procedural import generate
 
 LAPTOP = ["--categories", "laptop", "--output", "out"]
+
+
+PAGE = Path(__file__).parents[1] / "docs" / "figures.md"
 
 
 @pytest.fixture(autouse=True)
@@ -210,3 +215,15 @@ def test_keypoint_colours_differ():
     apart = np.linalg.norm(colours[:, None] - colours, axis=-1) + 10 * np.eye(36)
     assert apart.min() > 0.03
     assert (colours[:24] == keypoint_colours(24)).all()
+
+
+def test_the_page_names_commands_and_pictures_that_exist():
+    lines = [line.split("#")[0].split() for line in PAGE.read_text().splitlines() if line.startswith("omad ")]
+    assert {words[2] for words in lines} == {"keypoints", "qualitative", "sweep", "occlusion", "tsne"}
+    for words in lines:
+        with pytest.raises(SystemExit) as stop:
+            run([*words[1:], "--help"])
+        assert stop.value.code == 0
+    pictures = re.findall(r"\]\((figures/[^)]+)\)", PAGE.read_text())
+    assert pictures
+    assert sum((PAGE.parent / picture).stat().st_size for picture in pictures) < 1_000_000
