@@ -118,9 +118,10 @@ class Sheet:
         self._text(x + width / 2, y - above, text, ha="center", va="bottom", fontsize=8.5)
 
     def label(self, row: int, text: str) -> None:
-        """Upright at the left of a row."""
+        """Upright at the left of a row, smaller where it would not fit."""
         _, y, _, height = self._box(row, 0)
-        self._text(0.12, y + height / 2, text, ha="center", va="center", rotation=90, fontsize=8.5, weight="bold")
+        size = min(8.5, 72 * height / (0.7 * len(text)))
+        self._text(0.12, y + height / 2, text, ha="center", va="center", rotation=90, fontsize=size, weight="bold")
 
     def rule(self, row: int) -> None:
         """A thin line above a row."""
