@@ -15,7 +15,7 @@ from ..report import PART_COLOURS
 from .drawing import Drawing
 from .fitting import Fit
 
-AXIS_COLOUR = (200, 30, 60)
+AXIS_COLOUR = (170, 0, 30)
 LAYERS = ("hulls", "keypoints", "axes", "cloud", "seen keypoints")
 """What can be shown and hidden; the last two are there after a fit."""
 
@@ -33,12 +33,13 @@ class Scene:
         self._floor: float | None = None
         self._scene.set_up_direction("+y")
         self._scene.configure_default_lights(False)  # they wash the parts' colours out
-        self._scene.add_light_ambient("/light/all", intensity=1.6)
+        self._scene.add_light_ambient("/light/all", intensity=1.1)
         self._scene.add_light_directional("/light/above", intensity=1.6, position=(1.0, 3.0, 2.0))
         for layer in LAYERS:
             self._frames[layer] = self._scene.add_frame(f"/{layer}", show_axes=False)
         camera = server.initial_camera
-        camera.position = (0.9 * unit, 1.0 * unit, 2.2 * unit)
+        camera.position = (1.6 * unit, 1.8 * unit, 3.7 * unit)
+        camera.fov = 0.7
         camera.look_at = (0.0, 0.0, 0.0)
         camera.up = (0.0, 1.0, 0.0)
         camera.near = 0.01 * unit
@@ -104,7 +105,7 @@ class Scene:
             colours = matplotlib.colormaps["hsv"](np.linspace(0, 1, len(self._part_of), endpoint=False))[:, :3]
         else:
             colours = PART_COLOURS[self._part_of % len(PART_COLOURS)]
-        self._spheres("/keypoints/spheres", drawing.keypoints, colours, 0.03)
+        self._spheres("/keypoints/spheres", drawing.keypoints, 0.8 * colours**1.5, 0.03)
 
     def _spheres(self, name: str, centres: np.ndarray, colours: np.ndarray, radius: float) -> None:
         """``radius`` in category units."""
