@@ -22,6 +22,7 @@ from .demo import run_demo
 from .depth_noise import LEVELS
 from .errors import InputError
 from .estimator import Estimator
+from .exports.formats import Format, save_formats
 from .files import write_atomic
 from .html_report import save_html
 from .inputs import InputReader, input_files
@@ -84,6 +85,8 @@ class Estimate:
     """Metres per stored number; default 0.001 for integer images, 1 for floats and clouds."""
     output: Path = Path("omad-estimate")
     """Folder for results, one sub-folder an input."""
+    formats: tuple[Format, ...] = ()
+    """Write these, too: urdf (in the camera frame, with masses), ply, glb (animated), ros (JSON), rrd (Rerun)."""
     weights: Weights = None
     device: Device = "cpu"
     json: Json = False
@@ -114,6 +117,7 @@ class Estimate:
             save(figure(observation, estimate, title=file.name), folder / "estimate.png")
             save_html(observation, estimate, folder / "estimate.html", title=file.name)
             _write_text(folder / "estimate.json", estimate.to_json() + "\n")
+            save_formats(estimate, observation, folder, self.formats)
             found = ", ".join(describe(joint) for joint in estimate.joints)
             doubt = "" if estimate.converged else " (not converged)"
             print(f"{file}: {found}{doubt} -> {folder}", file=sys.stderr)

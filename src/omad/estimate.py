@@ -9,7 +9,9 @@ from typing import Any
 
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
+from scipy.spatial.transform import Rotation
 
+from .arrays import as_numpy
 from .categories import Category
 from .errors import InputError
 from .files import write_atomic
@@ -41,6 +43,24 @@ class JointEstimate:
         low, high = self.limits
         near, far = (high, low) if abs(high) < abs(low) else (low, high)
         return (self.state - near) / (far - near)
+
+    @property
+    def twist(self) -> np.ndarray:
+        """(6,) screw axis in the camera frame, (angular, linear) per unit of state: a point p of the moving part goes
+        with ``linear + angular x p``."""
+        if self.pivot is None:
+            return np.concatenate([np.zeros(3), self.axis])
+        return np.concatenate([self.axis, np.cross(self.pivot, self.axis)])
+
+    def motion(self, travel: float) -> np.ndarray:
+        """(4, 4) camera to camera: where a point of the moving part is after ``travel`` (radians or metres) more."""
+        T = np.eye(4)
+        if self.pivot is None:
+            T[:3, 3] = travel * self.axis
+        else:
+            T[:3, :3] = Rotation.from_rotvec(travel * self.axis).as_matrix()
+            T[:3, 3] = self.pivot - T[:3, :3] @ self.pivot
+        return T
 
 
 @dataclass(frozen=True)
@@ -162,23 +182,39 @@ class Estimate:
         text = json.dumps(state, indent=1) + "\n"
         write_atomic(path.with_name("state.json"), lambda temporary: temporary.write_text(text))
 
-    def waypoints(self, part: str, point: np.ndarray, to_state: float, steps: int = 20) -> np.ndarray:
+    def waypoints(
+        self, part: str, point: Any, to_state: float, steps: int = 20, T_world_camera: Any = None
+    ) -> np.ndarray:
         """Where a point of a part goes as its reference joint moves from the estimated state to ``to_state``.
 
-        ``point`` (3,) is in the camera frame now; returns (steps, 3), the first one ``point`` itself.
+        ``point`` (3,), NumPy or torch, is where it is now, in the camera frame, or in the world frame where
+        ``T_world_camera`` (4, 4) is given. Returns (steps, 3) in the same frame, the first one ``point`` itself.
+        Only this one joint moves; joints above it in the tree stay where they are.
+        Raises InputError for a part that does not move and for wrong shapes.
+        """
+        start = np.eye(4)
+        start[:3, 3] = _checked("point", point, (3,))
+        return self.waypoint_poses(part, start, to_state, steps, T_world_camera)[:, :3, 3]
+
+    def waypoint_poses(
+        self, part: str, T_camera_handle: Any, to_state: float, steps: int = 20, T_world_camera: Any = None
+    ) -> np.ndarray:
+        """As ``waypoints``, for a frame that is held fast to the part, a gripper at its handle, say.
+
+        ``T_camera_handle`` (4, 4) is its pose now, in the camera (or world) frame -> (steps, 4, 4) in the same frame.
         """
         names = [spec.name for spec in self.category.parts]
         if part not in names[1:]:
             raise InputError(f"part {part!r} does not move: moving parts are {', '.join(names[1:])}")
+        if steps < 1:
+            raise InputError(f"steps: {steps} is too few; give at least 1")
+        if not np.isfinite(to_state):
+            raise InputError(f"to_state: {to_state} is no state; give radians or metres")
+        start = _checked("T_camera_handle", T_camera_handle, (4, 4))
+        T_world = np.eye(4) if T_world_camera is None else _checked("T_world_camera", T_world_camera, (4, 4))
         joint = self.joints[names.index(part) - 1]
-        point = np.asarray(point, dtype=np.float64)
-        travel = np.linspace(0.0, to_state - joint.state, steps)
-        if joint.pivot is None:
-            return point + travel[:, None] * joint.axis
-        arm = point - joint.pivot
-        along = joint.axis * (joint.axis @ arm)
-        cos, sin = np.cos(travel)[:, None], np.sin(travel)[:, None]
-        return joint.pivot + along + cos * (arm - along) + sin * np.cross(joint.axis, arm)
+        motions = np.stack([joint.motion(travel) for travel in np.linspace(0.0, to_state - joint.state, steps)])
+        return T_world @ motions @ np.linalg.inv(T_world) @ start
 
 
 def _pose(joints: tuple[JointEstimate, ...], T_camera_part: np.ndarray) -> ObjectPose:
@@ -204,6 +240,13 @@ def convex_hull(points: np.ndarray) -> Mesh:
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     inward = (normal * hull.equations[:, :3]).sum(1) < 0
     return Mesh(vertices, np.where(inward[:, None], faces[:, ::-1], faces))
+
+
+def _checked(name: str, values: Any, shape: tuple[int, ...]) -> np.ndarray:
+    array = as_numpy(values)
+    if array.shape != shape:
+        raise InputError(f"{name}: shape {array.shape} is wrong; give {shape}")
+    return array.astype(np.float64)
 
 
 def _joint_dict(joint: JointEstimate) -> dict[str, Any]:

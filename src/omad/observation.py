@@ -9,6 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from scipy.spatial import KDTree
 
+from .arrays import as_numpy
 from .camera import Camera
 from .errors import InputError, NothingSeen
 from .segmentation import RIVAL, segment_on_plane
@@ -49,6 +50,7 @@ class Observation:
         drop_flying: bool = False,
     ) -> Observation:
         """Back-project a depth image (H, W) of floats in metres; 0, negative, NaN and infinite mean no measurement.
+        NumPy arrays and torch tensors of any device are taken alike.
 
         Which pixels are the object's: ``mask`` (H, W), non-zero inside; ``box`` (x1, y1, x2, y2) pixels, half-open;
         ``segment="plane"`` takes away table, floor and walls and keeps the largest thing left. They combine; with none
@@ -107,8 +109,8 @@ class Observation:
 
 def _as_floats(values: Any, name: str) -> np.ndarray:
     try:
-        array = np.asarray(values)
-    except (TypeError, ValueError, RuntimeError) as error:  # ragged lists, tensors on a GPU or with a gradient
+        array = as_numpy(values)
+    except (TypeError, ValueError, RuntimeError) as error:  # ragged lists
         raise InputError(f"{name}: cannot be read as an array; pass NumPy numbers") from error
     if array.dtype.kind not in "iuf":
         raise InputError(f"{name}: dtype {array.dtype} is not numeric; pass floats in metres")
@@ -125,7 +127,7 @@ def _check_depth(depth_m: Any) -> np.ndarray:
     if not len(measured):
         raise NothingSeen("depth: no pixel holds a measurement (all are zero or NaN); check the camera and the file")
     _check_metres(measured, "depth")
-    if np.asarray(depth_m).dtype.kind in "iu":
+    if as_numpy(depth_m).dtype.kind in "iu":
         raise InputError("depth: integers cannot be metres; multiply by the depth scale first (0.001 for millimetres)")
     return depth.astype(np.float32)
 
@@ -163,7 +165,7 @@ def _check_region(shape: tuple[int, ...], mask: Any, box: Sequence[float] | None
     height, width = shape
     region = np.ones(shape, dtype=bool)
     if mask is not None:
-        mask = np.asarray(mask)
+        mask = as_numpy(mask)
         if mask.shape != shape:
             raise InputError(f"mask: shape {mask.shape} differs from the depth image's {shape}; resize it to that")
         region &= mask != 0

@@ -1,0 +1,1 @@
+"""Estimates in other people's formats: URDF for simulators, PLY, GLB, ROS messages, Rerun recordings."""
