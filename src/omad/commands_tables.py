@@ -79,7 +79,8 @@ class _Tables(_OnViews):
     categories: tuple[str, ...] = ()
     """Default: all with weights."""
     weights: Path | None = None
-    """Folder in place of the shipped weights, with <category>/ of OMADNet, <category>/prior, and <category>/ancsh; without the latter A-NCSH is left out."""
+    """Folder in place of the shipped weights, with <category>/ of OMADNet, <category>/prior and <category>/ancsh; where
+    there is no ancsh/, A-NCSH is left out."""
     metrics: Metrics = "ours"
     """released: errors as the authors' own evaluation counts them (docs/experiments.md says where it differs)."""
 
