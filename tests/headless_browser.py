@@ -43,6 +43,8 @@ class HeadlessBrowser:
         self.errors: list[str] = []
         for domain in ("Runtime", "Page", "Log"):
             self.command(f"{domain}.enable")
+        size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
+        self.command("Emulation.setDeviceMetricsOverride", **size)  # the window's own size counts its frame, too
 
     def command(self, method: str, **parameters) -> dict:
         number = next(self._numbers)

@@ -161,7 +161,7 @@ def opened(tmp_path_factory):
     port = free_port("127.0.0.1", 0)
     server = viser.ViserServer("127.0.0.1", port, verbose=False)
     page = ExplorerPage(server, estimator("laptop"), components=3, seed=0)
-    browser = HeadlessBrowser(tmp_path_factory.mktemp("profile"), 620, 320)
+    browser = HeadlessBrowser(tmp_path_factory.mktemp("profile"), 800, 500)
     browser.command("Page.navigate", url=f"http://127.0.0.1:{port}")
     browser.wait("document.body && document.body.innerText.includes('Random object')")
     yield page, browser
@@ -178,9 +178,9 @@ def until(true) -> None:
 
 
 def colours(browser: HeadlessBrowser) -> np.ndarray:
-    """(H, W, 3) of the tab's left half, where the view in space is."""
+    """(H, W, 3) of the tab left of the panel, where the view in space is."""
     image = np.asarray(Image.open(io.BytesIO(browser.picture())).convert("RGB")).astype(int)
-    return image[image.shape[0] // 4 :, : image.shape[1] // 2]
+    return image[image.shape[0] // 4 :, :450]
 
 
 def test_page_in_a_browser(opened, tmp_path):
