@@ -2,8 +2,8 @@
 
     OMP_NUM_THREADS=1 python benchmarks/make_experiments.py [--ablation omad-ablation] [--ablation-of laptop]
 
-Tables stand between ``<!-- name -->`` and ``<!-- end -->``. Predictions are kept in ``--cache``. Trainings of the ablation are
-taken from where ``omad eval ablation`` left them.
+Tables stand between ``<!-- name -->`` and ``<!-- end -->``. Predictions are kept in ``--cache``. Trainings of the ablation
+are taken from where ``omad eval ablation`` left them.
 """
 
 from __future__ import annotations

@@ -92,9 +92,14 @@ def main() -> None:
     sys.exit(code)
 
 
+def parse(arguments: list[str]) -> Any:
+    """The command that a command line means; raises SystemExit where it means none, or asks for help."""
+    return tyro.cli(_Command, args=arguments, prog="omad", description=_ABOUT)  # type: ignore[call-overload]
+
+
 def run(arguments: list[str]) -> int:
     """Run one command line and return its exit code."""
-    command: Any = tyro.cli(_Command, args=arguments, prog="omad", description=_ABOUT)  # type: ignore[call-overload]
+    command = parse(arguments)
     try:
         code, answer = command.run()
     except InputError as error:
