@@ -10,8 +10,9 @@ import pytest
 import trimesh
 from PIL import Image
 
+from omad.camera_files import read_intrinsics
 from omad.errors import InputError
-from omad.files import read_cloud, read_depth, read_intrinsics, read_mask, write_atomic
+from omad.files import read_cloud, read_depth, read_mask, write_atomic
 
 DEPTH_MM = np.arange(12, dtype=np.uint16).reshape(3, 4) * 100
 CLOUD = np.random.default_rng(0).uniform(-1, 1, (60, 3)).astype(np.float32)

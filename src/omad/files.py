@@ -1,8 +1,7 @@
-"""Reading depth images, clouds, intrinsics and masks as people have them; writing files that are whole or not there."""
+"""Reading depth images, clouds and masks as people have them; writing files that are whole or not there."""
 
 from __future__ import annotations
 
-import json
 import os
 import tempfile
 from collections.abc import Callable
@@ -11,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import trimesh
-import yaml
 from PIL import Image, UnidentifiedImageError
 
 from .errors import InputError
@@ -65,7 +63,7 @@ def read_depth(path: str | Path, depth_scale: float | None = None) -> np.ndarray
     path = _existing(path, DEPTH_FORMATS, "depth image")
     if depth_scale is not None and not (np.isfinite(depth_scale) and depth_scale > 0):
         raise InputError(f"depth scale {depth_scale}: give metres per stored integer, 0.001 for millimetres")
-    stored = _read_array(path, "depth") if path.suffix.lower() in (".npy", ".npz") else read_image(path)
+    stored = read_array(path, "depth") if path.suffix.lower() in (".npy", ".npz") else read_image(path)
     if stored.ndim == 3 and stored.shape[2] == 1:
         stored = stored[..., 0]
     if stored.ndim != 2 or stored.dtype == np.uint8:
@@ -83,7 +81,7 @@ def read_depth(path: str | Path, depth_scale: float | None = None) -> np.ndarray
 def read_mask(path: str | Path) -> np.ndarray:
     """Mask (H, W) bool, true where the image or array is not zero in any colour channel (alpha is ignored)."""
     path = _existing(path, DEPTH_FORMATS, "mask")
-    stored = _read_array(path, "mask") if path.suffix.lower() in (".npy", ".npz") else read_image(path, "RGB")
+    stored = read_array(path, "mask") if path.suffix.lower() in (".npy", ".npz") else read_image(path, "RGB")
     if stored.ndim == 3:
         stored = stored.any(-1)
     if stored.ndim != 2:
@@ -119,7 +117,7 @@ def read_cloud(path: str | Path) -> np.ndarray:
     path = _existing(path, CLOUD_FORMATS, "point cloud")
     suffix = path.suffix.lower()
     if suffix in (".npy", ".npz"):
-        points = _read_array(path, "points")
+        points = read_array(path, "points")
     else:
         reader = {".ply": _read_ply, ".pcd": _read_pcd}.get(suffix, _read_text)
         try:
@@ -128,86 +126,13 @@ def read_cloud(path: str | Path) -> np.ndarray:
             raise
         except Exception as error:  # readers of foreign formats raise anything at all
             raise InputError(
-                f"{path}: not readable as {suffix[1:].upper()} ({_line(error)}); export it again"
+                f"{path}: not readable as {suffix[1:].upper()} ({one_line(error)}); export it again"
             ) from error
     if points.ndim == 3 and points.shape[-1] >= 3:  # an organised cloud (H, W, 3)
         points = points.reshape(-1, points.shape[-1])
     if points.ndim != 2 or points.shape[1] < 3 or points.dtype.kind not in "iuf":
         raise InputError(f"{path}: a cloud needs shape (N, 3), got {points.dtype} of shape {points.shape}")
     return points[:, :3].astype(np.float64)
-
-
-def read_intrinsics(source: str | Path) -> np.ndarray:
-    """(3, 3) pinhole K in pixels from ``fx,fy,cx,cy`` or a file.
-
-    Files: Open3D JSON (``intrinsic_matrix``, column-major), JSON or YAML with ``fx, fy, cx, cy`` or librealsense's
-    ``fx, fy, ppx, ppy``, ROS CameraInfo YAML (``K`` or ``k``), NPY, or text holding 3x3 or 4 numbers.
-    Raises InputError for anything else.
-    """
-    text = str(source)
-    numbers = _numbers(text)
-    if numbers is not None:
-        return _as_K(numbers, f"intrinsics {text!r}")
-    path = Path(source)
-    if not path.is_file():
-        raise InputError(f"intrinsics {text!r}: neither fx,fy,cx,cy nor an existing file")
-    if path.suffix.lower() in (".npy", ".npz"):
-        return _as_K(_read_array(path, "K"), str(path))
-    try:
-        content = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: intrinsics are not readable as text ({_line(error)})") from error
-    numbers = _numbers(content)
-    if numbers is not None:
-        return _as_K(numbers, str(path))
-    try:
-        # YAML reads JSON too, but not the tabs that JSON allows
-        data = json.loads(content) if content.lstrip().startswith("{") else yaml.safe_load(content)
-    except (ValueError, yaml.YAMLError) as error:
-        raise InputError(f"{path}: neither JSON, YAML nor numbers ({_line(error)})") from error
-    return _as_K(_find_intrinsics(data, path), str(path))
-
-
-def _find_intrinsics(data: Any, path: Path) -> np.ndarray:
-    """Row-major K or (fx, fy, cx, cy) out of the formats that people have."""
-    try:
-        if "intrinsic_matrix" in data:  # Open3D writes matrices column by column
-            return np.asarray(data["intrinsic_matrix"], dtype=np.float64).reshape(3, 3).T
-        for key in ("K", "k", "camera_matrix"):
-            if key in data:
-                matrix = data[key]
-                return np.asarray(matrix["data"] if isinstance(matrix, dict) else matrix, dtype=np.float64)
-        centre = ("ppx", "ppy") if "ppx" in data else ("cx", "cy")
-        return np.array([data["fx"], data["fy"], data[centre[0]], data[centre[1]]], dtype=np.float64)
-    except (TypeError, ValueError, KeyError) as error:
-        raise InputError(
-            f"{path}: holds no intrinsics; expected intrinsic_matrix (Open3D), fx, fy, ppx, ppy (librealsense)"
-            " or K (ROS CameraInfo)"
-        ) from error
-
-
-def _as_K(numbers: np.ndarray, name: str) -> np.ndarray:
-    """(3, 3) from 4 numbers (fx, fy, cx, cy) or 9 row by row."""
-    numbers = np.asarray(numbers)
-    if numbers.size == 4 and numbers.dtype.kind in "iuf":
-        fx, fy, cx, cy = numbers.astype(np.float64).ravel()
-        K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
-    elif numbers.size == 9 and numbers.dtype.kind in "iuf":
-        K = numbers.astype(np.float64).reshape(3, 3)
-    else:
-        raise InputError(f"{name}: expected fx,fy,cx,cy or a 3x3 matrix, got {numbers.size} numbers")
-    if not np.isfinite(K).all() or K[0, 0] <= 0 or K[1, 1] <= 0 or not np.allclose(K[2], [0, 0, 1]):
-        raise InputError(f"{name}: no pinhole matrix; expected [fx 0 cx; 0 fy cy; 0 0 1] in pixels, row by row")
-    return K
-
-
-def _numbers(text: str) -> np.ndarray | None:
-    """Numbers separated by commas, semicolons or space; None if there is anything else."""
-    words = text.replace(",", " ").replace(";", " ").replace("[", " ").replace("]", " ").split()
-    try:
-        return np.array([float(word) for word in words]) if words else None
-    except ValueError:
-        return None
 
 
 def _existing(path: str | Path, formats: tuple[str, ...], kind: str) -> Path:
@@ -230,10 +155,10 @@ def read_image(path: Path, mode: str | None = None) -> np.ndarray:
                 return np.asarray(image.convert(mode))
             return np.asarray(image)
     except (OSError, UnidentifiedImageError, SyntaxError, ValueError) as error:
-        raise InputError(f"{path}: not readable as an image ({_line(error)}); export it again") from error
+        raise InputError(f"{path}: not readable as an image ({one_line(error)}); export it again") from error
 
 
-def _read_array(path: Path, key: str) -> np.ndarray:
+def read_array(path: Path, key: str) -> np.ndarray:
     """The array of an NPY, or of an NPZ the one called ``key`` or the only one."""
     try:
         loaded = np.load(path, allow_pickle=False)
@@ -247,7 +172,7 @@ def _read_array(path: Path, key: str) -> np.ndarray:
     except InputError:
         raise
     except Exception as error:  # a damaged file raises anything from EOFError to zlib.error
-        raise InputError(f"{path}: not readable as {path.suffix[1:].upper()} ({_line(error)})") from error
+        raise InputError(f"{path}: not readable as {path.suffix[1:].upper()} ({one_line(error)})") from error
 
 
 def _read_ply(path: Path) -> np.ndarray:
@@ -299,6 +224,6 @@ def _read_pcd(path: Path) -> np.ndarray:
     raise InputError(f"{path}: PCD encoding {encoding!r} is not supported; save it as ascii or binary")
 
 
-def _line(error: Exception) -> str:
+def one_line(error: Exception) -> str:
     """The message of a foreign error on one line."""
     return " ".join(str(error).split()) or type(error).__name__

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, Protocol
 
 import numpy as np
 
+from .camera_files import CameraFile, parse_distortion, read_camera
 from .errors import InputError
-from .files import CLOUD_FORMATS, DEPTH_FORMATS, is_cloud, read_cloud, read_depth, read_intrinsics, read_mask
+from .files import CLOUD_FORMATS, DEPTH_FORMATS, is_cloud, read_cloud, read_depth, read_mask
 from .observation import Observation
 
 
@@ -34,7 +35,8 @@ class InputOptions(Protocol):
 class InputReader:
     """Reads inputs as a command's options say."""
 
-    K: np.ndarray | None
+    camera: CameraFile | None
+    """Of the depth images; with the lens that is undone."""
     mask: np.ndarray | Path | None
     """Of every input, or the folder of theirs."""
     box: list[float] | None
@@ -42,14 +44,20 @@ class InputReader:
     depth_scale: float | None
 
     @classmethod
-    def of(cls, options: InputOptions, files: list[Path]) -> InputReader:
-        """Read what holds for all inputs. Raises InputError where that is wrong whatever the input."""
+    def of(cls, options: InputOptions, files: list[Path], distortion: str | None = None) -> InputReader:
+        """Read what holds for all inputs; ``distortion`` in place of what the intrinsics' file tells of the lens.
+
+        Raises InputError where that is wrong whatever the input.
+        """
         if options.intrinsics is None and not any(is_cloud(file) for file in files):
             _existing(files[0])
             raise InputError(f"{files[0]}: a depth image needs --intrinsics fx,fy,cx,cy or a file with them")
         mask = options.mask
+        camera = None if options.intrinsics is None else read_camera(options.intrinsics)
+        if distortion is not None and camera is not None:
+            camera = replace(camera, distortion=parse_distortion(distortion))
         return cls(
-            K=None if options.intrinsics is None else read_intrinsics(options.intrinsics),
+            camera=camera,
             mask=mask if mask is None or mask.is_dir() else read_mask(mask),
             box=None if options.box is None else _numbers(options.box, 4, "--box"),
             segment=options.segment,
@@ -71,10 +79,17 @@ class InputReader:
 
     def _depth(self, file: Path) -> Observation:
         depth = read_depth(file, self.depth_scale)
-        if self.K is None:
+        camera = self.camera
+        if camera is None:
             raise InputError("a depth image needs --intrinsics fx,fy,cx,cy or a file with them")
+        height, width = depth.shape
+        if camera.size not in (None, (width, height)):
+            raise InputError(
+                f"is {width}x{height}, but its --intrinsics are for {camera.size[0]}x{camera.size[1]};"
+                " give those of the depth stream at this size"
+            )
         mask = read_mask(_mask_of(file, self.mask)) if isinstance(self.mask, Path) else self.mask
-        return Observation.from_depth(depth, self.K, mask, self.box, self.segment)
+        return Observation.from_depth(depth, camera.K, mask, self.box, self.segment, distortion=camera.distortion)
 
 
 def input_files(paths: Sequence[Path]) -> list[Path]:

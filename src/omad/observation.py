@@ -11,6 +11,7 @@ from scipy.spatial import KDTree
 
 from .arrays import as_numpy
 from .camera import Camera
+from .distortion import Distortion, pixel_rays, project, rectified
 from .errors import InputError, NothingSeen
 from .segmentation import RIVAL, segment_on_plane
 
@@ -48,6 +49,7 @@ class Observation:
         box: Sequence[float] | None = None,
         segment: Segmentation | None = None,
         drop_flying: bool = False,
+        distortion: Distortion | None = None,
     ) -> Observation:
         """Back-project a depth image (H, W) of floats in metres; 0, negative, NaN and infinite mean no measurement.
         NumPy arrays and torch tensors of any device are taken alike.
@@ -56,7 +58,9 @@ class Observation:
         ``segment="plane"`` takes away table, floor and walls and keeps the largest thing left. They combine; with none
         of them every measured pixel counts. ``drop_flying`` removes stray points between fore- and background.
 
-        ``K``: (3, 3) matrix, (fx, fy, cx, cy) in pixels, or a ``Camera``.
+        ``K``: (3, 3) matrix, (fx, fy, cx, cy) in pixels, or a ``Camera``; ``distortion``: the lens of the image, where
+        it was not undistorted. Points then lie on the pixels' true rays, and ``depth``, ``mask`` and ``pixels`` of the
+        observation are those of the undistorted image, into which points project with K alone.
         Raises InputError for input that cannot be right, and for fewer than 50 points.
         """
         depth = _check_depth(depth_m)
@@ -71,16 +75,22 @@ class Observation:
         # a table is found in the whole frame even where the box leaves little of it
         rows, columns = np.nonzero(chosen if segment is None else depth)
         z = depth[rows, columns].astype(np.float64)
-        points = np.stack([(columns - camera.cx) / camera.fx * z, (rows - camera.cy) / camera.fy * z, z], 1)
+        rays = pixel_rays(np.stack([columns, rows], 1), camera, distortion)
+        seen = np.isfinite(rays).all(1)
+        rows, columns, points = rows[seen], columns[seen], (np.c_[rays, np.ones(len(z))] * z[:, None])[seen]
         kept, warnings = _select(points, segment, drop_flying, chosen[rows, columns])
         rows, columns = rows[kept], columns[kept]
         chosen = np.zeros(depth.shape, dtype=bool)
         chosen[rows, columns] = True
+        pixels = np.stack([columns, rows], 1)
+        if distortion is not None:
+            depth, chosen = rectified(depth, camera, distortion), rectified(chosen, camera, distortion)
+            pixels = np.rint(project(points[kept], camera.K, None)).astype(int)
         return cls(
             points=points[kept].astype(np.float32),
             depth=depth,
             camera=camera,
-            pixels=np.stack([columns, rows], 1),
+            pixels=pixels,
             mask=chosen,
             warnings=_doubts(camera) + warnings,
         )

@@ -12,9 +12,10 @@ from typing import Literal
 import numpy as np
 
 from ...camera import Camera
+from ...camera_files import read_intrinsics
 from ...categories import Category
 from ...errors import InputError
-from ...files import read_image, read_intrinsics
+from ...files import read_image
 from ...render import NOTHING
 from ...standard_views import View
 from .annotations import Annotation, read_annotation
