@@ -2,8 +2,8 @@
 
     OMP_NUM_THREADS=1 python benchmarks/make_experiments.py [--ablation omad-ablation] [--ablation-of laptop]
 
-Tables stand between ``<!-- name -->`` and ``<!-- end -->``. Predictions are kept in ``--cache``. Trainings of the ablation
-are taken from where ``omad eval ablation`` left them.
+Tables stand between ``<!-- name -->`` and ``<!-- end -->``. Predictions are kept in ``--cache``. Trainings of the
+ablation are taken from where ``omad eval ablation`` left them.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ class Config:
     categories: tuple[str, ...] = tuple(CATEGORIES)
     ablation: Path = Path("omad-ablation")
     ablation_of: str = "laptop"
-    minutes: float = 8.0
-    """That the ablation's trainings took."""
+    samples: int = 20_000
+    """That the ablation's networks were trained on."""
     cache: Path = Path("runs/predictions")
 
 
@@ -111,16 +111,13 @@ def ablation(config: Config) -> list[str]:
         output=config.ablation,
         cache=config.cache,
         train=False,
-        minutes=config.minutes,
+        samples=config.samples,
     )
     _, answer = command.run()
     rows = [[answer["ablation"], *HEAD, "refinement (ms)"]]
     for line in answer["rows"]:
         rows.append([line["method"], *cells(line), milliseconds(line["seconds"]["refinement"])])
-    budget = (
-        f"Trained ones: {config.minutes:g} minutes each on one core, a quarter of them for the prior,"
-        f" {command.training_objects} objects."
-    )
+    budget = f"Trained ones: {config.samples} views of {command.training_objects} objects each; their priors twice as many clouds."
     return [*markdown(rows), "", budget]
 
 

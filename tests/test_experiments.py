@@ -115,7 +115,7 @@ def test_a_trained_variant_is_kept(tmp_path):
     variant = Trained(basis=0.3)
 
     def run() -> Path:
-        return train_variant(variant, category, models, tmp_path, "small", 0.05, 0, torch.device("cpu"))
+        return train_variant(variant, category, models, tmp_path, "small", 64, 0, torch.device("cpu"))
 
     checkpoint = run()
     net = load_net(checkpoint)

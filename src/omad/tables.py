@@ -180,8 +180,8 @@ def experiment_text(answer: dict[str, Any]) -> str:
     machines = sorted({line["seconds"]["machine"] for line in answer["rows"]})
     source = answer.get("source", "procedural")
     lines = [f"{source}, means; time of one image at a time on {' and '.join(machines)}", table(rows)]
-    if "minutes" in answer:
-        lines.append(f"trained for {answer['minutes']:g} minutes each; shipped: the weights of the package")
+    if "ablation" in answer:
+        lines.append(f"trained on {answer['samples']} views each; shipped: the weights of the package")
     lines += [f"left out {r['category']} {r['method']}: {r['reason']}" for r in answer.get("left_out", [])]
     lines += [f"not trained yet: {name}" for name in answer.get("not_trained", [])]
     return "\n".join(lines)

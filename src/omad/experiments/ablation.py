@@ -25,18 +25,18 @@ def train_variant(
     models: Sequence[SampledObject],
     folder: Path,
     name: str,
-    minutes: float,
+    samples: int,
     seed: int,
     device: torch.device,
 ) -> Path:
-    """Train prior and network of one variant under ``folder``, a quarter of the time for the prior; what is finished
-    is not done again, what is half done goes on. Returns the network's checkpoint."""
+    """Train prior and network of one variant under ``folder``: the network on ``samples`` views, the prior on twice as
+    many clouds. What is finished is not done again, what is half done goes on. Returns the network's checkpoint."""
     checkpoint = checkpoint_of(folder, name)
     if (checkpoint / "config.json").is_file():
         return checkpoint
     own = variant.category(category)
-    priornet = _prior(variant, own, models, folder, minutes / 4, seed, device)
-    schedule = _within(variant.training.schedule, 0.75 * minutes, seed)
+    priornet = _prior(variant, own, models, folder, 2 * samples, seed, device)
+    schedule = _short(variant.training.schedule, samples, seed)
     training = replace(variant.training, schedule=schedule)
     net = train_net(models, own, priornet, checkpoint, training, device)
     save_net(net, checkpoint, _record(schedule))
@@ -53,21 +53,21 @@ def _prior(
     category: Category,
     models: Sequence[SampledObject],
     folder: Path,
-    minutes: float,
+    samples: int,
     seed: int,
     device: torch.device,
 ) -> PriorNet:
     home = folder / variant.prior
     if not (home / "config.json").is_file():
-        schedule = _within(PriorTraining().schedule, minutes, seed)
+        schedule = _short(PriorTraining().schedule, samples, seed)
         net = train_prior(models, category, home, PriorTraining(schedule=schedule), device)
         save_priornet(net, home, _record(schedule))
     return load_priornet(home)
 
 
-def _within(schedule: Schedule, minutes: float, seed: int) -> Schedule:
-    """A short training: the average of the weights forgets faster."""
-    return replace(schedule, max_minutes=minutes, seed=seed, average=0.99)
+def _short(schedule: Schedule, samples: int, seed: int) -> Schedule:
+    """A training on so many samples; the average of the weights forgets faster than in a long one."""
+    return replace(schedule, steps=max(samples // schedule.batch, 1), seed=seed, average=0.99)
 
 
 def _record(schedule: Schedule) -> dict[str, Any]:
