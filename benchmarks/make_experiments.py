@@ -117,8 +117,8 @@ def ablation(config: Config) -> list[str]:
     rows = [[answer["ablation"], *HEAD, "refinement (ms)"]]
     for line in answer["rows"]:
         rows.append([line["method"], *cells(line), milliseconds(line["seconds"]["refinement"])])
-    budget = f"Trained ones: {config.samples} views of {command.training_objects} objects each; their priors twice as many clouds."
-    return [*markdown(rows), "", budget]
+    budget = f"{config.samples} views of {command.training_objects} objects each; their priors twice as many clouds"
+    return [*markdown(rows), "", f"Trained ones: {budget}."]
 
 
 def main(config: Config) -> None:
