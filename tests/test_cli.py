@@ -38,7 +38,7 @@ def state_deg(estimate: dict) -> float:
 
 def test_estimate_keeps_its_promise(capsys):
     found = answer(capsys, "estimate", save_png("a.png"), *LAPTOP, *K)
-    promised = "category converged residual beta T_camera_base joints parts keypoints initial seconds warnings"
+    promised = "category converged residual beta T_camera_base joints parts keypoints initial seconds warnings checks"
     assert set(promised.split()) | {"input", "output"} == set(found)
     joint = found["joints"][0]
     assert set(joint) == {"name", "type", "state", "state_std", "limits", "fraction", "axis", "pivot"}

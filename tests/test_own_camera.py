@@ -3,17 +3,26 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
-from scipy.ndimage import map_coordinates
+from scipy.ndimage import binary_closing, map_coordinates
 from scipy.optimize import least_squares
 
 from command_line import laptop_view
-from omad.camera_files import parse_distortion, read_camera
+from omad.auto_category import rank
+from omad.camera import STANDARD_CAMERA
+from omad.camera_files import CameraFile, parse_distortion, read_camera, read_transform
+from omad.checklist import doubts, suspected
 from omad.distortion import Distortion, project
 from omad.errors import InputError
+from omad.estimate import Estimate
+from omad.estimator import Estimator
 from omad.observation import Observation
+from omad.registration import ColourCamera
+from omad.world import gravity_in_camera, in_world
 
 BROWN = (0.12, -0.25, 0.0009, -0.0006, 0.08)
 LENSES = [
@@ -23,6 +32,39 @@ LENSES = [
     Distortion("equidistant", (-0.01, 0.02, -0.03, 0.01)),
 ]
 K = np.array([[600.0, 0, 319.5], [0, 600, 239.5], [0, 0, 1]])
+
+
+@cache
+def shared_estimator(name: str = "laptop") -> Estimator:
+    return Estimator.from_pretrained(name)
+
+
+@cache
+def laptop_observation() -> Observation:
+    return Observation.from_depth(laptop_view().depth, K)
+
+
+@cache
+def laptop_estimate() -> Estimate:
+    return shared_estimator()(laptop_observation())
+
+
+def cloud_of(depth: np.ndarray) -> np.ndarray:
+    rows, columns = np.nonzero(depth)
+    return np.stack([(columns - 319.5) / 600, (rows - 239.5) / 600, np.ones(len(rows))], 1) * depth[rows, columns, None]
+
+
+@cache
+def on_a_table() -> tuple[np.ndarray, np.ndarray]:
+    """Depth (480, 640) of the laptop on a table, and where in it the laptop is."""
+    view = laptop_view()
+    up = view.T_camera_base[:3, 1]
+    height = (cloud_of(view.depth) @ up).min() - 0.002
+    rows, columns = np.indices(view.depth.shape)
+    rays = np.stack([(columns - 319.5) / 600, (rows - 239.5) / 600, np.ones(view.depth.shape)], -1)
+    table = height / (rays @ up)
+    table = np.where((table > 0) & (table < 3), table, 0)
+    return np.where(view.depth > 0, view.depth, table), np.asarray(view.depth > 0)
 
 
 def seen_through(lens: Distortion, depth: np.ndarray) -> np.ndarray:
@@ -131,3 +173,158 @@ def test_lenses_are_read_from_the_command_line():
         with pytest.raises(InputError) as error:
             parse_distortion(text)
         assert "\n" not in str(error.value)
+
+
+# depth beside colour
+
+
+T_COLOR_DEPTH = np.array([[0.9998, -0.0175, 0.01, 0.015], [0.0175, 0.9998, 0.0, 0.002], [-0.01, 0.0002, 1.0, -0.004]])
+COLOR_K = np.array([[920.0, 0, 640], [0, 920, 360], [0, 0, 1]])
+COLOR_LENS = Distortion("brown_conrady", (0.15, -0.4, 0.001, 0.0005, 0.3))
+
+
+def rigid(approximate: np.ndarray) -> np.ndarray:
+    u, _, v = np.linalg.svd(approximate[:, :3])
+    return np.vstack([np.c_[u @ v, approximate[:, 3]], [0, 0, 0, 1]])
+
+
+def color_mask(points: np.ndarray) -> np.ndarray:
+    """(720, 1280) bool, where the colour camera sees points (N, 3) of the depth camera's frame."""
+    T = rigid(T_COLOR_DEPTH)
+    pixels = project(points @ T[:3, :3].T + T[:3, 3], COLOR_K, COLOR_LENS)
+    mask = np.zeros((720, 1280), dtype=bool)
+    column, row = np.rint(pixels).astype(int).T
+    inside = (column >= 0) & (column < 1280) & (row >= 0) & (row < 720)
+    mask[row[inside], column[inside]] = True
+    return binary_closing(mask, iterations=3)
+
+
+def colour_camera() -> ColourCamera:
+    return ColourCamera(CameraFile(COLOR_K, COLOR_LENS, (1280, 720)), rigid(T_COLOR_DEPTH))
+
+
+def test_a_mask_of_the_colour_image_chooses_the_objects_depth():
+    scene, truth = on_a_table()
+    chosen = colour_camera().depth_mask(
+        scene, STANDARD_CAMERA, None, color_mask(cloud_of(np.where(truth, scene, 0))), None
+    )
+    assert (chosen & truth).sum() > 0.97 * truth.sum()
+    assert (chosen & ~truth).sum() < 0.04 * truth.sum()
+
+
+def test_what_the_colour_camera_cannot_see_is_left_out():
+    """A plate before a wall: seen from beside, the plate hides another piece of the wall."""
+    depth = np.full((480, 640), 1.5)
+    depth[140:340, 220:420] = 0.5
+    T = np.eye(4)
+    T[0, 3] = 0.1
+    everything = np.ones((720, 1280), dtype=bool)
+    chosen = ColourCamera(CameraFile(COLOR_K, None, None), T).depth_mask(depth, STANDARD_CAMERA, None, everything, None)
+    assert chosen[150:330, 230:410].all()
+    hidden = chosen[150:330, 422 : 420 + 78]  # (0.1 / 0.5 - 0.1 / 1.5) * 600 = 80 pixels
+    assert hidden.mean() < 0.1
+    assert chosen[150:330, 510:].all()
+    assert chosen[150:330, :210].all()
+    box = ColourCamera(CameraFile(COLOR_K, None, None), T).depth_mask(
+        depth, STANDARD_CAMERA, None, None, (0, 0, 640, 720)
+    )
+    assert 0 < box.sum() < chosen.sum()
+
+
+def test_extrinsics_are_read_from_files(tmp_path):
+    T = rigid(T_COLOR_DEPTH)
+    forms = {
+        "a.txt": "\n".join(" ".join(map(str, row)) for row in T.tolist()),
+        "b.json": json.dumps({"rotation": T[:3, :3].T.ravel().tolist(), "translation": T[:3, 3].tolist()}),
+        "c.json": json.dumps({"rotation": T[:3, :3].tolist(), "translation": T[:3, 3].tolist()}),
+        "d.json": json.dumps({"T_color_depth": T.tolist()}),
+        "e.yaml": f"T_color_depth: {T.tolist()}\n",
+    }
+    for name, content in forms.items():
+        (tmp_path / name).write_text(content)
+        assert np.allclose(read_transform(tmp_path / name, "T_color_depth"), T), name
+    for content in (
+        "1 2 3",
+        json.dumps({"T": T.tolist()}),
+        json.dumps((2 * T).tolist()),
+        "{",
+        json.dumps(T.T.tolist()),
+    ):
+        (tmp_path / "bad.json").write_text(content)
+        with pytest.raises(InputError, match=r"bad\.json"):
+            read_transform(tmp_path / "bad.json", "T_color_depth")
+    with pytest.raises(InputError, match="no such file"):
+        read_transform(tmp_path / "none.txt", "T_color_depth")
+
+
+# the world
+
+
+def test_an_answer_in_the_world_frame():
+    T = np.eye(4)
+    T[:3] = [[0, 0, 1, 0.5], [-1, 0, 0, 0.2], [0, -1, 0, 1.1]]  # a level camera that looks along the world's x
+    assert np.allclose(gravity_in_camera(T), [0, 1, 0])
+    estimate = laptop_estimate()
+    world = in_world(estimate, T)
+    assert np.allclose(world["T_world_base"], T @ estimate.T_camera_base)
+    pivot = estimate.joints[0].pivot
+    assert pivot is not None
+    assert np.allclose(world["joints"][0]["pivot"], [pivot[2] + 0.5, -pivot[0] + 0.2, -pivot[1] + 1.1])
+    assert np.allclose(world["joints"][0]["axis"], T[:3, :3] @ estimate.joints[0].axis)
+    assert np.shape(world["keypoints"]) == estimate.keypoints.shape
+    assert json.dumps(world)
+
+
+# what to check
+
+
+def test_a_good_result_leaves_nothing_to_check():
+    assert doubts(laptop_observation(), laptop_estimate()) == []
+
+
+def test_a_wrong_depth_scale_is_named_with_its_cure():
+    view = laptop_view()
+    for factor, cure in ((10.0, "--depth-scale 0.0001"), (0.1, "--depth-scale 0.01")):
+        mask = np.zeros(view.depth.shape, dtype=bool)
+        mask[view.depth > 0] = True
+        depth = np.where(mask, view.depth, 2.0)  # a wall behind it: the object was cut out
+        seen = Observation.from_depth(depth * factor, K, mask)
+        found = {check.name: check for check in doubts(seen, shared_estimator()(seen), 0.001)}
+        assert cure in found["size"].cure, found["size"]
+    points = laptop_observation().points * 0.001
+    seen = Observation.from_points(points)
+    found = {check.name: check for check in doubts(seen, laptop_estimate())}
+    assert "metres read as millimetres" in found["size"].why
+    assert "by 1000" in found["size"].cure
+
+
+def test_an_uncut_frame_is_named_with_its_cure():
+    depth = np.full((480, 640), 4.0)
+    depth[:240] = 2.0
+    seen = Observation.from_depth(depth, K)
+    found = {check.name: check for check in doubts(seen, laptop_estimate())}
+    assert "--segment plane" in found["size"].cure
+    assert "left" in found["frame"].what
+
+
+def test_few_points_a_bad_fit_and_an_unsure_network_are_named():
+    estimate = laptop_estimate()
+    few = Observation.from_points(laptop_observation().points[::200])
+    assert [check.name for check in doubts(few, estimate)] == ["points"]
+    bad = replace(estimate, residual=0.1, converged=False, keypoint_std=estimate.keypoint_std * 20)
+    assert [check.name for check in doubts(laptop_observation(), bad)] == ["convergence", "residual", "network"]
+    for check in doubts(laptop_observation(), bad):
+        assert all(check.to_dict().values())
+
+
+# which category
+
+
+def test_the_category_is_found_and_all_are_ranked():
+    ranked = rank(laptop_observation(), [shared_estimator(name) for name in ("scissors", "laptop", "drawer")])
+    assert ranked[0].estimate.category.name == "laptop"
+    assert [c.score for c in ranked] == sorted((c.score for c in ranked), reverse=True)
+    assert np.isclose(sum(c.probability for c in ranked), 1)
+    assert suspected(ranked[0].estimate, ranked) == []
+    (wrong,) = suspected(ranked[-1].estimate, ranked)
+    assert "--category laptop" in wrong.cure

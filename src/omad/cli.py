@@ -16,6 +16,7 @@ os.environ.setdefault("GOMP_SPINCOUNT", "0")
 import tyro
 
 from . import commands as c
+from . import commands_estimate as s
 from . import commands_eval as e
 from . import commands_explore as x
 from . import commands_figures as f
@@ -63,7 +64,7 @@ _Index = Annotated[
 ]
 _Command = (
     Annotated[c.Demo, _name("demo")]
-    | Annotated[c.Estimate, _name("estimate")]
+    | Annotated[s.Estimate, _name("estimate")]
     | Annotated[k.Track, _name("track")]
     | Annotated[x.Explore, _name("explore")]
     | Annotated[c.Generate, _name("generate")]

@@ -2,32 +2,22 @@
 
 from __future__ import annotations
 
-import os
 import platform
-import sys
-import time
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 import torch
-import tyro
 
 from . import __version__
 from .categories import CATEGORIES
 from .checkpoint import find_weights, load_net, save_net, shipped_categories
 from .demo import run_demo
 from .depth_noise import LEVELS
-from .errors import InputError
 from .estimator import Estimator
-from .exports.formats import Format, save_formats
 from .files import write_atomic
-from .html_report import save_html
-from .inputs import InputReader, input_files
 from .options import CategoryName, Device, Json, Result, Seed, Weights, check_category, check_positive
-from .report import describe, figure, save
 from .runtime import pick_device
 from .sources.artimage import write_artimage
 from .sources.procedural import generate
@@ -62,70 +52,6 @@ class Demo:
             names = [self.category] if self.category else shipped_categories()
             estimators = [Estimator.from_pretrained(name, self.device) for name in names]
         return 0, run_demo(estimators, self.output, self.objects, self.seed)
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """Estimate objects from depth images (PNG, TIFF, NPY, NPZ) or clouds (PLY, PCD, XYZ, NPY, NPZ): JSON, URDF, a
-    picture and a page for the browser (estimate.html, with sliders) each."""
-
-    inputs: tyro.conf.Positional[tuple[Path, ...]]
-    """Files, or folders of them. A bad one of many is named on stderr and under "refused" of the JSON; the others,
-    under "results", are done, and the exit code is 2."""
-    category: CategoryName
-    intrinsics: str | None = None
-    """Of the depth camera: fx,fy,cx,cy or a file (Open3D or RealSense JSON, ROS YAML, 3x3 text)."""
-    mask: Path | None = None
-    """Image, non-zero where the object is; or a folder with a mask for each input, of the same name."""
-    box: str | None = None
-    """x1,y1,x2,y2 in pixels around the object, half-open."""
-    segment: Literal["plane"] | None = None
-    """plane: take away the dominant plane and keep the largest thing on it."""
-    depth_scale: float | None = None
-    """Metres per stored number; default 0.001 for integer images, 1 for floats and clouds."""
-    output: Path = Path("omad-estimate")
-    """Folder for results, one sub-folder an input."""
-    formats: tuple[Format, ...] = ()
-    """Write these, too: urdf (in the camera frame, with masses), ply, glb (animated), ros (JSON), rrd (Rerun)."""
-    weights: Weights = None
-    device: Device = "cpu"
-    json: Json = False
-
-    def run(self) -> Result:
-        check_positive(depth_scale=self.depth_scale)
-        files = input_files(self.inputs)
-        one = len(self.inputs) == 1 and files[0] == self.inputs[0]
-        reader = InputReader.of(self, files)
-        estimator = Estimator.from_pretrained(self.weights or self.category, self.device)
-        check_category("--weights", self.weights, estimator.category, self.category)
-        results, refused = [], []
-        for file, name in zip(files, _folder_names(files), strict=True):
-            began = time.perf_counter()
-            try:
-                observation = reader(file)
-            except InputError as error:
-                if one:
-                    raise
-                print(f"omad: {error}", file=sys.stderr)
-                refused.append({"input": str(file), "reason": str(error)})
-                continue
-            seconds = time.perf_counter() - began
-            estimate = estimator(observation)
-            estimate.seconds["read"] = seconds
-            folder = self.output / name
-            estimate.save_urdf(folder / "object.urdf")
-            save(figure(observation, estimate, title=file.name), folder / "estimate.png")
-            save_html(observation, estimate, folder / "estimate.html", title=file.name)
-            _write_text(folder / "estimate.json", estimate.to_json() + "\n")
-            save_formats(estimate, observation, folder, self.formats)
-            found = ", ".join(describe(joint) for joint in estimate.joints)
-            doubt = "" if estimate.converged else " (not converged)"
-            print(f"{file}: {found}{doubt} -> {folder}", file=sys.stderr)
-            for warning in estimate.warnings:
-                print(f"{file}: warning: {warning}", file=sys.stderr)
-            results.append({"input": str(file), "output": str(folder), **estimate.to_dict()})
-        code = 2 if refused else 0 if any(result["converged"] for result in results) else 1
-        return code, results[0] if one else {"results": results, "refused": refused}
 
 
 @dataclass(frozen=True)
@@ -232,20 +158,3 @@ class Info:
             "numpy": np.__version__,
             "python": platform.python_version(),
         }
-
-
-def _folder_names(files: Sequence[Path]) -> list[str]:
-    """A folder's name for each file: its stem, or where files share that, a longer name that tells them apart."""
-    places = [Path(os.path.abspath(file)) for file in files]
-    for names in (
-        [place.stem for place in places],
-        [place.name for place in places],
-        [f"{place.parent.name}-{place.name}" for place in places],
-    ):
-        if len(set(names)) == len(names):
-            return names
-    return [f"{number:05d}-{place.name}" for number, place in enumerate(places)]
-
-
-def _write_text(path: Path, text: str) -> None:
-    write_atomic(path, lambda temporary: temporary.write_text(text))

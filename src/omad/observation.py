@@ -65,7 +65,7 @@ class Observation:
         """
         depth = _check_depth(depth_m)
         camera = _check_camera(K, depth.shape)
-        region = _check_region(depth.shape, mask, box)
+        region = region_of(depth.shape, mask, box)
         chosen = (depth > 0) & region
         if np.count_nonzero(chosen) < MIN_POINTS:
             raise NothingSeen(
@@ -170,7 +170,7 @@ def _check_camera(K: Any, shape: tuple[int, ...]) -> Camera:
     return Camera.from_K(values, width, height)
 
 
-def _check_region(shape: tuple[int, ...], mask: Any, box: Sequence[float] | None) -> np.ndarray:
+def region_of(shape: tuple[int, ...], mask: Any, box: Sequence[float] | None) -> np.ndarray:
     """(H, W) bool of mask and box together."""
     height, width = shape
     region = np.ones(shape, dtype=bool)
