@@ -31,8 +31,8 @@ class Config:
     categories: tuple[str, ...] = tuple(CATEGORIES)
     ablation: Path = Path("omad-ablation")
     ablation_of: str = "laptop"
-    samples: int = 20_000
-    """That the ablation's networks were trained on."""
+    samples: int = 8_000
+    """Views that the ablation's networks were trained on."""
     cache: Path = Path("runs/predictions")
 
 

@@ -157,11 +157,13 @@ class TrainNet(_NetTraining):
 
     prior: Path | None = None
     """Checkpoint folder of the prior; default: the shipped one."""
+    attention: bool = True
+    """no-attention: all votes for a keypoint count alike, for comparison."""
 
     def run(self) -> Result:
         prior, initial = self._prior(), self.load_initial()
         category, models, schedule, device = self.prepare(NetTraining().schedule)
-        settings = NetTraining(schedule=schedule, backbone=self.backbone())
+        settings = NetTraining(schedule=schedule, backbone=self.backbone(), attention=self.attention)
         net = train_net(models, category, prior, self.output, settings, device, initial)
         save_net(net, self.output, self.record(schedule))
         return 0, {"checkpoint": str(self.output)}

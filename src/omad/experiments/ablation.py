@@ -10,7 +10,8 @@ from typing import Any
 import torch
 
 from ..categories import Category
-from ..checkpoint import load_priornet, save_net, save_priornet
+from ..checkpoint import load_priornet, save_net, save_priornet, training_record
+from ..errors import InputError
 from ..objects import SampledObject
 from ..priornet import PriorNet
 from ..train_net import train_net
@@ -32,15 +33,22 @@ def train_variant(
     """Train prior and network of one variant under ``folder``: the network on ``samples`` views, the prior on twice as
     many clouds. What is finished is not done again, what is half done goes on. Returns the network's checkpoint."""
     checkpoint = checkpoint_of(folder, name)
+    schedule = _short(variant.training.schedule, samples, seed)
     if (checkpoint / "config.json").is_file():
+        _check_budget(checkpoint, schedule)
         return checkpoint
     own = variant.category(category)
     priornet = _prior(variant, own, models, folder, 2 * samples, seed, device)
-    schedule = _short(variant.training.schedule, samples, seed)
     training = replace(variant.training, schedule=schedule)
     net = train_net(models, own, priornet, checkpoint, training, device)
     save_net(net, checkpoint, _record(schedule))
     return checkpoint
+
+
+def _check_budget(checkpoint: Path, schedule: Schedule) -> None:
+    trained, wanted = (s["steps"] * s["batch"] for s in (training_record(checkpoint)["schedule"], asdict(schedule)))
+    if trained != wanted:
+        raise InputError(f"{checkpoint}: was trained on {trained} views, not on {wanted}; give another --output")
 
 
 def checkpoint_of(folder: Path, name: str) -> Path:

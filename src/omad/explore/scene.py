@@ -33,8 +33,8 @@ class Scene:
         self._floor: float | None = None
         self._scene.set_up_direction("+y")
         self._scene.configure_default_lights(False)  # they wash the parts' colours out
-        self._scene.add_light_ambient("/light/all", intensity=1.1)
-        self._scene.add_light_directional("/light/above", intensity=1.6, position=(1.0, 3.0, 2.0))
+        self._scene.add_light_ambient("/light/all", intensity=0.7)
+        self._scene.add_light_directional("/light/above", intensity=1.0, position=(1.0, 3.0, 2.0))
         for layer in LAYERS:
             self._frames[layer] = self._scene.add_frame(f"/{layer}", show_axes=False)
         camera = server.initial_camera
@@ -73,7 +73,7 @@ class Scene:
                     hull.vertices.astype(np.float32),
                     hull.faces,
                     color=_bytes(PART_COLOURS[part % len(PART_COLOURS)]),
-                    opacity=0.3,
+                    opacity=0.45,
                     flat_shading=True,
                     side="double",
                     cast_shadow=False,
