@@ -3,19 +3,26 @@
 from __future__ import annotations
 
 import json
+import re
+import shlex
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 from scipy.ndimage import binary_closing, map_coordinates
 from scipy.optimize import least_squares
 
-from command_line import laptop_view
+from command_line import LAPTOP, laptop_view, refused, save_png
+from command_line import K as K_OPTION
 from omad.auto_category import rank
 from omad.camera import STANDARD_CAMERA
 from omad.camera_files import CameraFile, parse_distortion, read_camera, read_transform
 from omad.checklist import doubts, suspected
+from omad.cli import run
+from omad.depth_noise import LEVELS, add_noise
 from omad.distortion import Distortion, project
 from omad.errors import InputError
 from omad.estimate import Estimate
@@ -328,3 +335,83 @@ def test_the_category_is_found_and_all_are_ranked():
     assert suspected(ranked[0].estimate, ranked) == []
     (wrong,) = suspected(ranked[-1].estimate, ranked)
     assert "--category laptop" in wrong.cure
+
+
+# a frame from end to end, and the page that describes it
+
+
+PAGE = Path(__file__).parent.parent / "docs" / "own-camera.md"
+LENS = Distortion("brown_conrady", BROWN)
+
+
+def write_json(path: str, **content: object) -> None:
+    Path(path).write_text(json.dumps(content))
+
+
+@pytest.fixture
+def frame(tmp_path, monkeypatch):
+    """Files of a simulated RealSense frame: a laptop on a table, with camera noise, seen without and through a lens."""
+    monkeypatch.chdir(tmp_path)
+    scene, truth = on_a_table()
+    noisy = add_noise(scene, LEVELS["on"], STANDARD_CAMERA, np.random.default_rng(0))
+    save_png("depth.png", noisy)
+    save_png("raw.png", seen_through(LENS, noisy))
+    depth = {"width": 640, "height": 480, "fx": 600.0, "fy": 600.0, "ppx": 319.5, "ppy": 239.5}
+    write_json("depth.json", **depth, model="Brown Conrady", coeffs=[0.0] * 5)
+    write_json("raw.json", **depth, model="Brown Conrady", coeffs=list(LENS.coefficients))
+    color = {"width": 1280, "height": 720, "fx": 920.0, "fy": 920.0, "ppx": 640.0, "ppy": 360.0}
+    write_json("color.json", **color, model="Brown Conrady", coeffs=list(COLOR_LENS.coefficients))
+    T = rigid(T_COLOR_DEPTH)
+    write_json("depth-to-color.json", rotation=T[:3, :3].T.ravel().tolist(), translation=T[:3, 3].tolist())
+    Image.fromarray(255 * color_mask(cloud_of(np.where(truth, scene, 0))).astype(np.uint8)).save("color-mask.png")
+    Image.fromarray(255 * truth.astype(np.uint8)).save("mask.png")
+    up = laptop_view().T_camera_base[:3, 1]
+    across = np.cross(up, (0, 0, 1)) / np.linalg.norm(np.cross(up, (0, 0, 1)))
+    np.savetxt("camera-pose.txt", rigid(np.c_[np.stack([across, np.cross(up, across), up]), (0.4, 0.0, 0.9)]))
+
+
+RAW = ["--intrinsics", "raw.json", "--mask", "color-mask.png", "--color-intrinsics", "color.json"]
+RAW += ["--color-extrinsics", "depth-to-color.json"]
+
+
+def test_options_that_do_not_fit_are_refused(frame, capsys):
+    depth = ["estimate", "depth.png", *LAPTOP, "--intrinsics", "depth.json"]
+    for options, word in (
+        (["--color-intrinsics", "color.json"], "--color-extrinsics"),
+        (["--color-intrinsics", "color.json", "--color-extrinsics", "depth-to-color.json"], "--mask"),
+        ([*RAW[2:4], "--color-intrinsics", "raw.json", *RAW[6:]], "1280x720"),
+        (["--gravity", "world"], "--world"),
+        (["--gravity", "0,0,0"], "--gravity 0,0,0"),
+        (["--gravity", "down"], "--gravity down"),
+        (["--world", "raw.json"], "T_world_camera"),
+        (["--distortion", "oval:1"], "oval"),
+    ):
+        assert word in refused(capsys, *depth, *options)
+    assert "640x480" in refused(capsys, "estimate", "depth.png", *LAPTOP, "--intrinsics", "color.json")
+    assert "auto" in refused(capsys, "estimate", "depth.png", "--category", "auto", *K_OPTION, "--weights", "weights")
+
+
+def blocks(language: str) -> list[str]:
+    found = re.findall(r"^```(\w*)\n(.*?)^```", PAGE.read_text(), re.S | re.M)
+    return [code for named, code in found if named == language]
+
+
+def test_the_pages_commands_run(frame, capsys):
+    lines = "".join(blocks("")).splitlines()
+    assert len(lines) >= 6
+    for line in lines:
+        assert run(shlex.split(line)[1:]) == 0, line
+
+
+def test_the_pages_python_runs(frame, capsys):
+    names: dict = {}
+    for code in blocks("python"):
+        exec(code, names)
+    assert np.degrees(abs(names["estimate"].joint_states[0] - laptop_view().states[0])) < 5
+    assert len(capsys.readouterr().out.splitlines()) >= 1
+
+
+def test_the_page_knows_every_check():
+    told = PAGE.read_text()
+    for name in ("size", "points", "frame", "convergence", "residual", "network", "category"):
+        assert f"`{name}`" in told
