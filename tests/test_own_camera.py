@@ -15,7 +15,7 @@ from PIL import Image
 from scipy.ndimage import binary_closing, map_coordinates
 from scipy.optimize import least_squares
 
-from command_line import LAPTOP, laptop_view, refused, save_png
+from command_line import LAPTOP, answer, refused, save_png
 from command_line import K as K_OPTION
 from omad.auto_category import rank
 from omad.camera import STANDARD_CAMERA
@@ -29,6 +29,9 @@ from omad.estimate import Estimate
 from omad.estimator import Estimator
 from omad.observation import Observation
 from omad.registration import ColourCamera
+from omad.sources.procedural import generate
+from omad.spec_file import get_category
+from omad.standard_views import View, standard_view
 from omad.world import gravity_in_camera, in_world
 
 BROWN = (0.12, -0.25, 0.0009, -0.0006, 0.08)
@@ -39,6 +42,13 @@ LENSES = [
     Distortion("equidistant", (-0.01, 0.02, -0.03, 0.01)),
 ]
 K = np.array([[600.0, 0, 319.5], [0, 600, 239.5], [0, 0, 1]])
+
+
+@cache
+def laptop_view() -> View:
+    """One that shows both parts well: of a lid from its edge, a mask holds more of the background than of the lid."""
+    category = get_category("laptop")
+    return standard_view(generate(category, 0, "test"), category, (0, 1003))
 
 
 @cache
@@ -372,6 +382,23 @@ def frame(tmp_path, monkeypatch):
 
 RAW = ["--intrinsics", "raw.json", "--mask", "color-mask.png", "--color-intrinsics", "color.json"]
 RAW += ["--color-extrinsics", "depth-to-color.json"]
+
+
+def test_a_raw_frame_with_a_colour_mask_is_as_good_as_an_ideal_one(frame, capsys):
+    ideal = answer(capsys, "estimate", "depth.png", *LAPTOP, "--intrinsics", "depth.json", "--mask", "mask.png")
+    raw = answer(capsys, "estimate", "raw.png", *LAPTOP, *RAW, "--world", "camera-pose.txt", "--gravity", "world")
+    truth = laptop_view()
+    for found in (ideal, raw):
+        assert np.degrees(abs(found["joints"][0]["state"] - truth.states[0])) < 5
+        T = np.array(found["T_camera_base"])
+        assert np.linalg.norm(T[:3, 3] - truth.T_camera_base[:3, 3]) < 0.015
+        assert np.arccos(np.clip(T[:3, 1] @ truth.T_camera_base[:3, 1], -1, 1)) < np.radians(4)
+        assert found["checks"] == []
+    assert np.degrees(abs(raw["joints"][0]["state"] - ideal["joints"][0]["state"])) < 3
+    assert np.allclose(raw["joints"][0]["pivot"], ideal["joints"][0]["pivot"], atol=0.015)
+    world = raw["world"]
+    assert np.allclose(np.array(world["T_world_base"])[:3, 1], [0, 0, 1], atol=1e-6)  # upright, as told
+    assert Path("omad-estimate/raw/estimate.html").is_file()
 
 
 def test_options_that_do_not_fit_are_refused(frame, capsys):
