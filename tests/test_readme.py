@@ -9,6 +9,7 @@ import pytest
 from PIL import Image
 
 from omad.cli import parse, run
+from omad.observation import Observation
 from omad.sources.procedural import generate
 from omad.spec_file import get_category
 from omad.standard_views import View, standard_view
@@ -16,6 +17,8 @@ from omad.urdf import write_urdf
 
 ROOT = Path(__file__).parent.parent
 README, GUIDE = (ROOT / name for name in ("README.md", "docs/guide.md"))
+PAGES = [README, GUIDE, *(ROOT / "docs" / name for name in ("index.md", "tracking.md"))]
+"""Whose Python runs here; other pages have tests of their own."""
 
 
 def blocks(path: Path, language: str) -> list[str]:
@@ -34,13 +37,14 @@ def view(tmp_path, monkeypatch) -> View:
     return view
 
 
-@pytest.mark.parametrize("source", [README, GUIDE], ids=lambda path: path.name)
+@pytest.mark.parametrize("source", PAGES, ids=lambda path: path.name)
 def test_python_runs(source, view, tmp_path):
     names = {
         "depth_m": view.depth,
         "K": view.camera.K,
         "mask": view.depth > 0,
         "folder": tmp_path / "models",
+        "view": Observation.from_depth(view.depth, view.camera),
     }
     found = blocks(source, "python")
     assert found
