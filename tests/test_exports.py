@@ -290,7 +290,8 @@ def test_page_runs(laptop, tmp_path, monkeypatch):
     names = {"view": observation, "estimate": estimate}
     for language, code in re.findall(r"^```(\w*)\n(.*?)^```", PAGE.read_text(), re.S | re.M):
         if language == "python":
-            missing = [name for name in ("pybullet", "rerun") if f"import {name}" in code and not _installed(name)]
+            named = [name for name in ("pybullet", "rerun") if re.search(rf"\bimport .*\b{name}\b", code)]
+            missing = [name for name in named if not _installed(name)]
             if not missing:
                 exec(code, names)
                 ran += 1
