@@ -1,5 +1,6 @@
 """Table 2, ablations and the released metrics: what is compared is what it says, and true keypoints are the bound."""
 
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -141,3 +142,15 @@ def test_ablation_of_settings_and_what_is_not_trained(here, capsys):
 
 def test_unknown_variant_is_refused(here, capsys):
     assert "no attention" in refused(capsys, "eval", "ablation", "--variants", "no attentoin")
+
+
+@pytest.mark.skipif("OMAD_ARTIMAGE" not in os.environ, reason="OMAD_ARTIMAGE names no folder in ArtImage's layout")
+@pytest.mark.parametrize("metrics", ["ours", "released"])
+def test_table1_on_artimage(here, capsys, metrics):
+    """The test images of an ArtImage root, with the paper's split."""
+    command = ["eval", "table1", "--categories", "laptop", "--broken", "skip", "--metrics", metrics]
+    found = answer(capsys, *command, "--source", os.environ["OMAD_ARTIMAGE"])
+    by_method = {row["method"]: row for row in found["rows"]}
+    assert set(by_method) == {"ancsh", "omad_initial", "omad_refined"}
+    assert by_method["omad_refined"]["axis_error_deg"][0] < 3
+    assert by_method["omad_refined"]["joint_state"][0] < 4
