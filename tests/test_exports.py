@@ -28,6 +28,7 @@ from omad.exports.surfaces import part_surfaces, save_ply
 from omad.sources.procedural import generate
 from omad.spec_file import get_category
 from omad.standard_views import standard_view
+from pages import every_block
 
 PAGE = Path(__file__).parent.parent / "docs" / "formats.md"
 
@@ -288,7 +289,7 @@ def test_page_runs(laptop, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     ran = 0
     names = {"view": observation, "estimate": estimate}
-    for language, code in re.findall(r"^```(\w*)\n(.*?)^```", PAGE.read_text(), re.S | re.M):
+    for language, code in every_block(PAGE):
         if language == "python":
             named = [name for name in ("pybullet", "rerun") if re.search(rf"\bimport .*\b{name}\b", code)]
             missing = [name for name in named if not _installed(name)]

@@ -20,8 +20,8 @@ from omad.figures.occluders import hidden_share, occlude
 from omad.figures.scene import Window, shaded, studio
 from omad.figures.style import keypoint_colours
 from omad.figures.sweep import SIGMAS, shape_sweep
-from omad.figures.true_keypoints import object_prior, placed, relabelled
 from omad.metrics import ObjectPose
+from omad.object_prior import object_prior, placed, relabelled
 from omad.sources.procedural import generate
 
 LAPTOP = ["--categories", "laptop", "--output", "out"]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 import shlex
 from dataclasses import replace
 from functools import cache
@@ -33,6 +32,7 @@ from omad.sources.procedural import generate
 from omad.spec_file import get_category
 from omad.standard_views import View, standard_view
 from omad.world import gravity_in_camera, in_world
+from pages import blocks
 
 BROWN = (0.12, -0.25, 0.0009, -0.0006, 0.08)
 LENSES = [
@@ -418,13 +418,8 @@ def test_options_that_do_not_fit_are_refused(frame, capsys):
     assert "auto" in refused(capsys, "estimate", "depth.png", "--category", "auto", *K_OPTION, "--weights", "weights")
 
 
-def blocks(language: str) -> list[str]:
-    found = re.findall(r"^```(\w*)\n(.*?)^```", PAGE.read_text(), re.S | re.M)
-    return [code for named, code in found if named == language]
-
-
 def test_the_pages_commands_run(frame, capsys):
-    lines = "".join(blocks("")).splitlines()
+    lines = "".join(blocks(PAGE, "")).splitlines()
     assert len(lines) >= 6
     for line in lines:
         assert run(shlex.split(line)[1:]) == 0, line
@@ -432,7 +427,7 @@ def test_the_pages_commands_run(frame, capsys):
 
 def test_the_pages_python_runs(frame, capsys):
     names: dict = {}
-    for code in blocks("python"):
+    for code in blocks(PAGE, "python"):
         exec(code, names)
     assert np.degrees(abs(names["estimate"].joint_states[0] - laptop_view().states[0])) < 5
     assert len(capsys.readouterr().out.splitlines()) >= 1

@@ -18,6 +18,7 @@ from omad.cli import run
 from omad.sources.folder import load_folder
 from omad.standard_views import standard_view
 from own_models import microwave, stapler, write_microwaves, write_staplers
+from pages import blocks
 
 DOCS = Path(__file__).parent.parent / "docs"
 TUTORIAL = DOCS / "own-category.md"
@@ -26,13 +27,8 @@ TINY = ["--steps", "3", "--batch", "2"]
 MODELS = Path(os.environ.get("OMAD_MODELS", "nowhere"))
 
 
-def blocks(language: str) -> list[str]:
-    found = re.findall(r"^```(\w*)\n(.*?)^```", TUTORIAL.read_text(), re.S | re.M)
-    return [code for named, code in found if named == language]
-
-
 def commands() -> list[list[str]]:
-    return [shlex.split(line)[1:] for block in blocks("") for line in block.splitlines() if line.strip()]
+    return [shlex.split(line)[1:] for block in blocks(TUTORIAL, "") for line in block.splitlines() if line.strip()]
 
 
 def tiny(words: list[str]) -> list[str]:
@@ -48,7 +44,7 @@ def tiny(words: list[str]) -> list[str]:
 def workplace(tmp_path_factory) -> Path:
     """What a reader of the tutorial has, once all of its commands have run."""
     folder = tmp_path_factory.mktemp("tutorial")
-    for name, text in zip(SPECS, blocks("toml"), strict=True):
+    for name, text in zip(SPECS, blocks(TUTORIAL, "toml"), strict=True):
         (folder / name).write_text(text)
     write_microwaves(folder / "models", 3, seed=0)
     write_microwaves(folder / "test-models", 2, seed=1)
@@ -82,14 +78,14 @@ def test_every_command_of_the_tutorial_runs(inside):
 
 def test_python_of_the_tutorial_runs(inside):
     view = standard_view(microwave(), omad.get_category("microwave.toml"), (0, 0, 0))
-    found = blocks("python")
+    found = blocks(TUTORIAL, "python")
     assert found
     for code in found:
         exec(code, {"depth_m": view.depth, "K": STANDARD_CAMERA.K, "mask": view.depth > 0})
 
 
 def test_the_spec_files_are_those_of_the_docs():
-    for name, text in zip(SPECS, blocks("toml"), strict=True):
+    for name, text in zip(SPECS, blocks(TUTORIAL, "toml"), strict=True):
         assert tomllib.loads(text) == tomllib.loads((DOCS / "categories" / name).read_text())
 
 

@@ -1,6 +1,5 @@
 """README and guide do what they say: their Python runs, their commands run as written."""
 
-import re
 import shlex
 from pathlib import Path
 
@@ -14,16 +13,12 @@ from omad.sources.procedural import generate
 from omad.spec_file import get_category
 from omad.standard_views import View, standard_view
 from omad.urdf import write_urdf
+from pages import blocks
 
 ROOT = Path(__file__).parent.parent
 README, GUIDE = (ROOT / name for name in ("README.md", "docs/guide.md"))
 PAGES = [README, GUIDE, *(ROOT / "docs" / name for name in ("index.md", "tracking.md"))]
 """Whose Python runs here; other pages have tests of their own."""
-
-
-def blocks(path: Path, language: str) -> list[str]:
-    found = re.findall(r"^```(\w*)\n(.*?)^```", path.read_text(), re.S | re.M)
-    return [code for named, code in found if named == language]
 
 
 @pytest.fixture

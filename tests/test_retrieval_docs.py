@@ -13,13 +13,9 @@ from omad.retrieval.index import ShapeIndex
 from omad.sources.procedural import generate
 from omad.spec_file import get_category
 from omad.urdf import write_urdf
+from pages import blocks
 
 PAGE = Path(__file__).parent.parent / "docs" / "retrieval.md"
-
-
-def blocks(language: str) -> list[str]:
-    found = re.findall(r"^```(\w*)\n(.*?)^```", PAGE.read_text(), re.S | re.M)
-    return [code for named, code in found if named == language]
 
 
 @pytest.fixture(autouse=True)
@@ -33,7 +29,7 @@ def in_a_folder_with_the_files_that_the_page_names(tmp_path, monkeypatch):
 def test_python_runs():
     view = laptop_view()
     names = {"depth_m": view.depth, "K": view.camera.K, "mask": np.asarray(view.depth) > 0}
-    for code in blocks("python"):
+    for code in blocks(PAGE, "python"):
         exec(code, names)
     assert [entry.name for entry in ShapeIndex.load("mine.npz").entries] == ["my laptop"]
     assert len(names["hits"]) == 1
@@ -41,7 +37,7 @@ def test_python_runs():
 
 def test_commands_run():
     ran = []
-    for line in "".join(blocks("")).splitlines():
+    for line in "".join(blocks(PAGE, "")).splitlines():
         words = shlex.split(line.split("#")[0])
         if words[0] != "omad":
             script = next(word for word in words if word.endswith(".py"))

@@ -12,12 +12,11 @@ from ..evaluation import true_pose
 from ..geometry import fit_transform
 from ..kinematics import joint_lines, part_transforms
 from ..metrics import ObjectPose
+from ..object_prior import object_prior, placed
 from ..objects import SampledObject
 from ..priornet import PriorNet
 from ..refinement import Refiner, State, Targets
 from ..standard_views import View
-from ..train_prior import object_keypoints
-from ..views import SurfaceBank
 from .predictions import Predictions, this_machine
 
 SIGMA = 0.01
@@ -31,14 +30,13 @@ def from_true_keypoints(
     """Refine from the mean shape with the labels that OMADNet is trained on: PriorNet's keypoints of the complete
     object, carried by the true joints. ``models`` are the objects of the views, by name."""
     category, prior, unit = estimator.category, estimator.net.prior, estimator.category.metres_per_unit
-    bank = SurfaceBank.from_models(models, category)
-    beta = prior.encode(object_keypoints(priornet, bank))
-    canonical = dict(zip([model.name for model in models], prior.keypoints(beta), strict=True))
-    carried = torch.stack([torch.as_tensor(true_pose(view, category).T_camera_part) for view in views]).float()
-    carried[..., :3, 3] /= unit
-    T = carried[:, prior.part_of]
-    keypoints = (T[..., :3, :3] @ torch.stack([canonical[view.object] for view in views])[..., None]).squeeze(-1)
-    targets = Targets(keypoints + T[..., :3, 3], torch.full(keypoints.shape[:2], SIGMA**-2))
+    canonical = dict(zip([model.name for model in models], object_prior(priornet, models).keypoints, strict=True))
+    carried = [
+        placed(canonical[view.object], true_pose(view, category).T_camera_part, category.part_of_keypoint)
+        for view in views
+    ]
+    keypoints = torch.as_tensor(np.stack(carried) / unit).float()
+    targets = Targets(keypoints, torch.full(keypoints.shape[:2], SIGMA**-2))
 
     limits = torch.tensor([joint.limits for joint in category.joints])
     start_beta = prior.beta_mean.expand(len(views), -1)

@@ -12,11 +12,11 @@ from matplotlib.figure import Figure
 
 from ..categories import Category
 from ..keypoint_check import KeypointSpread, keypoint_spread
+from ..object_prior import ObjectPrior, object_prior, placed
 from ..objects import ObjectModel
 from ..priornet import PriorNet
 from .scene import GREY, arrows, caption, draw_arrows, draw_keypoints, paint, studio
 from .style import ESTIMATED, Sheet, keypoint_colours, styled
-from .true_keypoints import ObjectPrior, object_prior, placed
 
 ASPECT = 0.86
 OPENED = 0.3

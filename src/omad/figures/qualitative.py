@@ -14,13 +14,13 @@ from ..categories import Category
 from ..estimate import Estimate
 from ..evaluation import ViewResult, true_pose
 from ..metrics import ObjectPose, PoseErrors
+from ..object_prior import object_prior, placed, relabelled
 from ..objects import ObjectModel
 from ..observation import Observation
 from ..priornet import PriorNet
 from ..report import PART_COLOURS
 from .scene import GREY, Arrow, Window, arrows, caption, draw_arrows, draw_cloud, draw_keypoints, paint
 from .style import ESTIMATED, TRUE, Sheet, styled
-from .true_keypoints import object_prior, placed, relabelled
 
 ASPECT = 0.82
 COLUMNS = ("depth image", "parts found", "initial", "refined", "truth")

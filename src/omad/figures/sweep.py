@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 
 from ..categories import Category
 from ..estimate import Estimate, convex_hull
+from ..object_prior import placed
 from ..objects import ObjectModel
 from ..observation import Observation
 from ..prior import OmadPrior
@@ -21,7 +22,6 @@ from ..standard_views import View
 from .correspondence import opened
 from .scene import Window, arrows, caption, draw_arrows, draw_cloud, draw_keypoints, paint, studio
 from .style import ESTIMATED, FAINT, Sheet, styled
-from .true_keypoints import placed
 
 ASPECT = 0.9
 SIGMAS = 2.0

@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from ..objects import Mesh, ObjectModel
-from ..priornet import PriorNet
-from ..train_prior import object_keypoints
-from ..views import SurfaceBank
+from .objects import Mesh, ObjectModel, SampledObject
+from .priornet import PriorNet
+from .train_prior import object_keypoints
+from .views import SurfaceBank
 
 HALF_TURN_Z = np.array([-1.0, -1.0, 1.0])
 
@@ -31,7 +31,7 @@ class ObjectPrior:
 
 
 @torch.no_grad()
-def object_prior(net: PriorNet, models: Sequence[ObjectModel]) -> ObjectPrior:
+def object_prior(net: PriorNet, models: Sequence[SampledObject]) -> ObjectPrior:
     """Fit the prior to complete objects."""
     unit = net.category.metres_per_unit
     bank = SurfaceBank.from_models(models, net.category).to(net.part_of.device)
