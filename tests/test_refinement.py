@@ -15,8 +15,9 @@ from omad.adam_recipe import refine_with_adam, snap_targets
 from omad.categories import CATEGORIES, Category, JointSpec, PartSpec
 from omad.errors import InputError
 from omad.geometry import make_transform, rotation_angle, so3_exp
+from omad.keypoint_jacobian import keypoint_jacobian
 from omad.prior import OmadPrior
-from omad.refinement import Refined, RefinementConfig, State, Targets, free_directions, keypoint_jacobian, refine
+from omad.refinement import Refined, RefinementConfig, Refiner, State, Targets, free_directions, refine
 
 CRANE = Category(
     name="crane",
@@ -168,6 +169,19 @@ def test_kernel_and_torch_agree(category: Category, huber: float | None) -> None
     assert error(plain.state, fused.state).max() < 1e-8
     torch.testing.assert_close(plain.covariance, fused.covariance, atol=1e-9, rtol=1e-6)
     torch.testing.assert_close(plain.energy, fused.energy, atol=1e-8, rtol=1e-8)
+
+
+@each_case
+def test_placed_bases_agree_and_are_nearest(category: Category) -> None:
+    s = scene(category, batch=6, noise=1.0)
+    weights = s.targets.weights.clone()
+    weights[:, 3] = 0.0  # one keypoint of each is not seen
+    targets = replace(s.targets, weights=weights)
+    plain, fused = (Refiner(s.prior, s.limits, RefinementConfig(backend=b)).placed(targets, s.start) for b in BACKENDS)
+    torch.testing.assert_close(plain.T_camera_base, fused.T_camera_base, atol=1e-9, rtol=0)
+    hold_all_but_the_base = free_directions(len(category.joints), s.prior.basis_size, hold_beta=True, hold_states=True)
+    fitted = refine(s.prior, targets, fused, s.limits, EXACT, hold_all_but_the_base).state
+    torch.testing.assert_close(fitted.T_camera_base, fused.T_camera_base, atol=1e-6, rtol=0)
 
 
 @each_case

@@ -194,6 +194,9 @@ class EvalAblation(_OnViews):
     """Views that a variant's network is trained on; its prior sees twice as many clouds."""
     variants: tuple[str, ...] = ()
     """Which to train; default: all. Quote them: "no attention"."""
+    features: Path | None = None
+    """Checkpoint of an OMADNet whose backbone every variant starts from, with new heads and a prior of its own: a small
+    budget then goes further. Default: from nothing."""
     training_objects: int = 600
     """Procedural objects to train on."""
     output: Path = Path("omad-ablation")
@@ -240,10 +243,10 @@ class EvalAblation(_OnViews):
         if self.threads:
             torch.set_num_threads(self.threads)
         models = load_training_objects("procedural", category, self.training_objects, 0, self.broken)
+        device = pick_device(self.device)
         for name in self.variants or TRAINED:
-            train_variant(
-                TRAINED[name], category, models, folder, name, self.samples, self.seed, pick_device(self.device)
-            )
+            variant = TRAINED[name]
+            train_variant(variant, category, models, folder, name, self.samples, self.seed, device, self.features)
 
 
 def _method(estimator: Estimator, weights: Path) -> Method:

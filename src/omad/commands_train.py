@@ -32,7 +32,7 @@ from .retrieval.siamese_training import SiameseTraining, train_siamese
 from .runtime import keep_freed_memory, pick_device
 from .sources.select import load_training_objects
 from .spec_file import get_category
-from .train_net import NetTraining, train_net
+from .train_net import NetLossWeights, NetTraining, train_net
 from .train_prior import PriorTraining, train_prior
 from .training import Schedule
 
@@ -159,13 +159,17 @@ class TrainNet(_NetTraining):
     """Checkpoint folder of the prior; default: the shipped one."""
     attention: bool = True
     """no-attention: all votes for a keypoint count alike, for comparison."""
+    refinement_loss: float = 0.0
+    """Weight of the refined answer's own error, for fine-tuning with --initial (6 is good); from nothing, it only
+    disturbs."""
 
     def run(self) -> Result:
         prior, initial = self._prior(), self.load_initial()
         category, models, schedule, device = self.prepare(NetTraining().schedule)
-        settings = NetTraining(schedule=schedule, backbone=self.backbone(), attention=self.attention)
+        weights = NetLossWeights(refinement=self.refinement_loss)
+        settings = NetTraining(schedule, self.backbone(), weights=weights, attention=self.attention)
         net = train_net(models, category, prior, self.output, settings, device, initial)
-        save_net(net, self.output, self.record(schedule))
+        save_net(net, self.output, self.record(schedule) | {"refinement_loss": self.refinement_loss})
         return 0, {"checkpoint": str(self.output)}
 
     def _prior(self) -> PriorNet:

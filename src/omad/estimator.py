@@ -23,11 +23,12 @@ from .adam_recipe import AdamResult, refine_with_adam
 from .categories import Category
 from .checkpoint import find_weights, load_net
 from .estimate import Estimate, InitialEstimate, JointEstimate
-from .geometry import fit_transform, transform_points
+from .geometry import transform_points
 from .kinematics import joint_lines, part_transforms
 from .known import Known, Near
 from .observation import Observation
 from .omadnet import OmadNet, Prediction, first_frame, to_input_frame
+from .prior import OmadPrior
 from .refinement import Refined, RefinementConfig, Refiner, State, Targets
 from .runtime import pick_device
 from .views import sample_clouds
@@ -142,7 +143,7 @@ class Estimator:
             network += self._lap(began)
             began = time.perf_counter()
             first = first or look
-            refined = self._refine(look.targets, start or self._placed(look), known, near)
+            refined = self._refine(look, start, known, near)
             start, frame = refined.state, refined.state.T_camera_base
             refinement += self._lap(began)
             began = time.perf_counter()
@@ -183,22 +184,15 @@ class Estimator:
             part_logits=said.part_logits.unflatten(0, (batch, samples)).flatten(1, 2),
         )
 
-    def _placed(self, look: _Look) -> State:
-        """The network's answer with the base where its keypoints say: they have no seam, as its quaternion has one
-        somewhere on the circle around the object."""
-        prior, state = self.net.prior, look.state
-        at_origin = torch.eye(4, device=self.device).expand(len(state.beta), 4, 4)
-        keypoints = prior.deform(state.beta, state.joint_states, at_origin)
-        pose = fit_transform(keypoints, look.targets.keypoints, look.targets.weights)
-        return replace(state, T_camera_base=pose)
-
-    def _refine(self, targets: Targets, start: State, known: Known, near: Near | None) -> Refined:
-        prior = self.net.prior
-        start = known.impose(start, self.category)
+    def _refine(self, look: _Look, start: State | None, known: Known, near: Near | None) -> Refined:
+        """From ``start``, or where there is none from the network's answer with the base where its keypoints say: they
+        have no seam, as its quaternion has one somewhere on the circle around the object."""
+        prior, targets, refiner = self.net.prior, look.targets, self._refiner(known)
+        start = known.impose(start or refiner.placed(targets, look.state), self.category)
         if self.config.method == "adam":
             with torch.enable_grad():
-                return _as_refined(refine_with_adam(prior, targets, start))
-        refiner = self._refiner(known)
+                found = refine_with_adam(prior, targets, start)
+            return _as_refined(prior, targets, found)
         if near is not None:
             refiner = refiner.believing(torch.as_tensor(near.beta), torch.as_tensor(near.beta_covariance))
         return refiner(targets, start)
@@ -342,12 +336,14 @@ def _doubts(keypoint_std: np.ndarray) -> tuple[str, ...]:
     )
 
 
-def _as_refined(adam: AdamResult) -> Refined:
+def _as_refined(prior: OmadPrior, targets: Targets, adam: AdamResult) -> Refined:
     """Adam's result in the form of the least-squares one; it knows nothing of covariance."""
     size = 6 + adam.state.joint_states.shape[1] + adam.state.beta.shape[1]
     unknown = torch.full((len(adam.energy), size, size), torch.nan, dtype=torch.float64)
     every = torch.eye(size, dtype=torch.float64)
-    return Refined(adam.state, unknown, every, adam.converged, adam.steps, adam.energy, adam.loss)
+    keypoints = prior.deform(adam.state.beta, adam.state.joint_states, adam.state.T_camera_base)
+    squared = (keypoints - targets.keypoints).square().sum(-1)
+    return Refined(adam.state, unknown, every, adam.converged, adam.steps, targets.weights, squared)
 
 
 def _numpy(tensor: Tensor) -> np.ndarray:

@@ -19,16 +19,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Literal
 
-import numpy as np
 import torch
 from torch import Tensor
 
+from .arrays import as_doubles
 from .errors import InputError
-from .geometry import make_transform, so3_exp
+from .geometry import fit_transform, make_transform, so3_exp
 from .keypoint_jacobian import State, keypoint_jacobian
 from .least_squares import Linearisation, RobustKernel, TerminationConfig, minimise
 from .prior import OmadPrior
@@ -48,8 +48,8 @@ class RefinementConfig:
     huber: float | None = 3.0
     """Keypoints further than this many sigmas from their targets pull linearly instead of quadratically."""
     max_iterations: int = 60
-    step_tolerance: float = 1e-7
-    cost_tolerance: float = 1e-10
+    step_tolerance: float = 1e-5
+    cost_tolerance: float = 1e-8
     """See ``least_squares.TerminationConfig``."""
     backend: Literal["auto", "torch", "kernel"] = "auto"
     """'auto': the fused kernel (always float64) on the CPU, torch (in the dtype of the targets) elsewhere."""
@@ -82,15 +82,26 @@ class Refined:
     """(B,) bool."""
     iterations: Tensor
     """(B,) int64."""
-    energy: Tensor
-    """(B,) sum of weighted squared keypoint distances."""
-    residual: Tensor
-    """(B,) RMS keypoint distance over the keypoints with weight."""
+    weights: Tensor
+    """(B, M) of the targets."""
+    squared: Tensor
+    """(B, M) squared distance of each keypoint from its target; arbitrary where the weight is 0."""
+
+    @property
+    def energy(self) -> Tensor:
+        """(B,) sum of weighted squared keypoint distances."""
+        return torch.where(self.weights > 0, self.weights * self.squared, 0.0).sum(-1)
+
+    @property
+    def residual(self) -> Tensor:
+        """(B,) RMS keypoint distance over the keypoints with weight."""
+        counts = self.weights != 0
+        return (torch.where(counts, self.squared, 0.0).sum(-1) / counts.sum(-1).clamp(min=1)).sqrt()
 
     @cached_property
     def covariance(self) -> Tensor:
         """(B, P, P) of the unknowns in tangent coordinates (omega, t, theta, beta), from J^T J; zero for held ones."""
-        return (self.directions @ _inverse(self.hessian) @ self.directions.T).to(self.residual)
+        return (self.directions @ _inverse(self.hessian) @ self.directions.T).to(self.weights)
 
     @property
     def std(self) -> Tensor:
@@ -119,17 +130,6 @@ class Refined:
 
 
 DEFAULT_CONFIG = RefinementConfig()
-
-
-@dataclass(frozen=True)
-class _Solution:
-    """What either backend hands over; ``hessian`` (B, F, F) over the free directions, ``squared`` distances (B, M)."""
-
-    state: State
-    hessian: Tensor
-    squared: Tensor
-    converged: Tensor
-    iterations: Tensor
 
 
 def free_directions(
@@ -185,8 +185,9 @@ class Refiner:
         like = prior.learned_basis
         free = free_directions(joints, prior.basis_size) if free is None else free
         self.prior, self.config = prior, config
+        self._sizes, self._dtype = (prior.num_keypoints, joints, prior.basis_size), like.dtype
         self.limits, self.free = limits.to(like), free.to(like.device, torch.float64)
-        self.beta_mean, self.whitening = prior.beta_mean, _whitening(prior.beta_covariance, config.prior_weight)
+        self.beta_mean, self.whitening = prior.beta_mean, beta_whitening(prior.beta_covariance, config.prior_weight)
         self._kernel: KernelProblem | None = None
         if config.backend == "kernel" or (config.backend == "auto" and like.device.type == "cpu"):
             from .refinement_kernel import prepare  # compiled only where it is used
@@ -196,11 +197,23 @@ class Refiner:
     def believing(self, mean: Tensor, covariance: Tensor) -> Refiner:
         """The same refinement with another Gaussian on beta, mean (D,) and covariance (D, D), than the category's."""
         other = copy(self)
-        other.beta_mean, other.whitening = mean, _whitening(covariance, self.config.prior_weight)
+        other.beta_mean, other.whitening = mean, beta_whitening(covariance, self.config.prior_weight)
         if self._kernel is not None:
             values = (tensor.detach().cpu().double().numpy() for tensor in (other.beta_mean, other.whitening))
             other._kernel = self._kernel._replace(**dict(zip(("beta_mean", "whitening"), values, strict=True)))
         return other
+
+    @torch.no_grad()
+    def placed(self, targets: Targets, state: State) -> State:
+        """The state with its base where the keypoints, as the rest of it says, are nearest to the targets."""
+        if self._kernel is not None:
+            from .refinement_kernel import place
+
+            arrays = (as_doubles(t) for t in (targets.keypoints, targets.weights, state.joint_states, state.beta))
+            return replace(state, T_camera_base=torch.as_tensor(place(self._kernel, *arrays)).to(state.beta))
+        at_origin = torch.eye(4).to(state.beta).expand(len(state.beta), 4, 4)
+        keypoints = self.prior.deform(state.beta, state.joint_states, at_origin)
+        return replace(state, T_camera_base=fit_transform(keypoints, targets.keypoints, targets.weights))
 
     @torch.no_grad()
     def __call__(self, targets: Targets, initial: State) -> Refined:
@@ -209,24 +222,13 @@ class Refiner:
         A problem with NaNs comes back unconverged with its initial values, and changes no other. Raises InputError for
         tensors of the wrong shape and for negative weights.
         """
-        _check(self.prior, targets, initial, self.limits)
-        left_out = (targets.weights == 0)[..., None]
-        targets = Targets(torch.where(left_out, 0.0, targets.keypoints), targets.weights)
+        _check(self._sizes, self._dtype, targets, initial, self.limits)
         limits = self.limits.expand(len(initial.beta), -1, -1)
         if self._kernel is not None:
-            solution = _solve_with_kernel(self._kernel, targets, initial, limits, self.config)
-        else:
-            solution = _solve_with_torch(self, targets, initial, limits)
-        squared = solution.squared
-        mean = torch.where(left_out[..., 0], 0.0, squared).sum(-1) / (~left_out).sum((1, 2)).clamp(min=1)
-        return Refined(
-            state=solution.state,
-            hessian=solution.hessian.double(),
-            directions=self.free,
-            converged=solution.converged,
-            iterations=solution.iterations,
-            energy=(targets.weights * squared).sum(-1),
-            residual=mean.sqrt(),
+            return _solve_with_kernel(self._kernel, self.free, targets, initial, limits, self.config)
+        left_out = (targets.weights == 0)[..., None]
+        return _solve_with_torch(
+            self, replace(targets, keypoints=torch.where(left_out, 0.0, targets.keypoints)), initial, limits
         )
 
 
@@ -242,27 +244,27 @@ def refine(
     return Refiner(prior, limits, config, free)(targets, initial)
 
 
-def _check(prior: OmadPrior, targets: Targets, initial: State, limits: Tensor) -> None:
-    batch, keypoints, joints = len(targets.keypoints), prior.num_keypoints, prior.tree.num_joints
-    expected = {
-        "targets.keypoints": (targets.keypoints, (batch, keypoints, 3)),
-        "targets.weights": (targets.weights, (batch, keypoints)),
-        "initial.beta": (initial.beta, (batch, prior.basis_size)),
-        "initial.joint_states": (initial.joint_states, (batch, joints)),
-        "initial.T_camera_base": (initial.T_camera_base, (batch, 4, 4)),
-    }
-    for name, (tensor, wanted) in expected.items():
+def _check(sizes: tuple[int, int, int], dtype: torch.dtype, targets: Targets, initial: State, limits: Tensor) -> None:
+    """``sizes``: of keypoints, joints and beta."""
+    batch, (keypoints, joints, beta) = len(targets.keypoints), sizes
+    for name, tensor, wanted in (
+        ("targets.keypoints", targets.keypoints, (batch, keypoints, 3)),
+        ("targets.weights", targets.weights, (batch, keypoints)),
+        ("initial.beta", initial.beta, (batch, beta)),
+        ("initial.joint_states", initial.joint_states, (batch, joints)),
+        ("initial.T_camera_base", initial.T_camera_base, (batch, 4, 4)),
+    ):
         if tensor.shape != wanted:
             raise InputError(f"{name}: shape {tuple(tensor.shape)}, this prior and batch need {wanted}")
-        if tensor.dtype != prior.learned_basis.dtype:
-            raise InputError(f"{name}: {tensor.dtype}, but the prior is {prior.learned_basis.dtype}; convert one")
+        if tensor.dtype != dtype:
+            raise InputError(f"{name}: {tensor.dtype}, but the prior is {dtype}; convert one")
     if limits.dim() == 3 and len(limits) not in (1, batch):
         raise InputError(f"limits: for {len(limits)} observations, there are {batch}; give (J, 2) for all of them")
-    if (targets.weights < 0).any():
+    if targets.weights.min() < 0:
         raise InputError("targets.weights: negative, give 1 / sigma^2 or 0 to leave a keypoint out")
 
 
-def _whitening(covariance: Tensor, weight: float) -> Tensor:
+def beta_whitening(covariance: Tensor, weight: float) -> Tensor:
     """(D, D) upper triangular L with |L (beta - mean)|^2 = weight * squared Mahalanobis distance, float64.
 
     A direction in which the training objects hardly vary counts as a thousandth of the widest one's spread, so that
@@ -287,31 +289,27 @@ def _inverse(hessian: Tensor) -> Tensor:
 
 
 def _solve_with_kernel(
-    problem: KernelProblem, targets: Targets, initial: State, limits: Tensor, config: RefinementConfig
-) -> _Solution:
+    problem: KernelProblem, free: Tensor, targets: Targets, initial: State, limits: Tensor, config: RefinementConfig
+) -> Refined:
     from . import refinement_kernel
 
-    def array(tensor: Tensor) -> np.ndarray:
-        return np.ascontiguousarray(tensor.detach().cpu().numpy(), dtype=np.float64)
-
-    like = targets.keypoints
-    observed = array(like), array(targets.weights), array(limits)
-    start = array(initial.T_camera_base), array(initial.joint_states), array(initial.beta)
+    observed = as_doubles(targets.keypoints), as_doubles(targets.weights), as_doubles(limits)
+    start = as_doubles(initial.T_camera_base), as_doubles(initial.joint_states), as_doubles(initial.beta)
     found = refinement_kernel.solve(problem, *observed, *start, config.termination)
-    return _Solution(
-        state=State(
-            beta=torch.as_tensor(found.beta).to(like),
-            joint_states=torch.as_tensor(found.joint_states).to(like),
-            T_camera_base=torch.as_tensor(found.T_camera_base).to(like),
-        ),
+    like = targets.keypoints
+    state = State(*(torch.as_tensor(a).to(like) for a in (found.beta, found.joint_states, found.T_camera_base)))
+    return Refined(
+        state=state,
         hessian=torch.as_tensor(found.hessian, device=like.device),
-        squared=torch.as_tensor(found.squared).to(like),
+        directions=free,
         converged=torch.as_tensor(found.converged, device=like.device),
         iterations=torch.as_tensor(found.iterations, device=like.device),
+        weights=targets.weights,
+        squared=torch.as_tensor(found.squared).to(like),
     )
 
 
-def _solve_with_torch(refiner: Refiner, targets: Targets, initial: State, limits: Tensor) -> _Solution:
+def _solve_with_torch(refiner: Refiner, targets: Targets, initial: State, limits: Tensor) -> Refined:
     like, prior, config = targets.keypoints, refiner.prior, refiner.config
     joints, size = prior.tree.num_joints, prior.basis_size
     L, free, mean = refiner.whitening.to(like), refiner.free.to(like), refiner.beta_mean.to(like)
@@ -349,4 +347,5 @@ def _solve_with_torch(refiner: Refiner, targets: Targets, initial: State, limits
     state = unpack(found.x)
     points = prior.deform(state.beta, state.joint_states, state.T_camera_base)
     squared = (points - targets.keypoints).square().sum(-1)
-    return _Solution(state, found.hessian, squared, found.converged, found.iterations)
+    hessian = found.hessian.double()
+    return Refined(state, hessian, refiner.free, found.converged, found.iterations, targets.weights, squared)

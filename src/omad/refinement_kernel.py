@@ -13,31 +13,22 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numba
 import numpy as np
 from torch import Tensor
 
+from .arrays import as_doubles
 from .least_squares import TerminationConfig
 from .prior import OmadPrior
-from .small_matrices import add_skew, cross, inner, rotation, solve_damped, times
+from .prior_kernel import KernelPrior, joint_function, kernel_prior, place_bases, place_parts
+from .small_matrices import add_skew, cross, inner, jit, rotation, solve_damped, times
 
 EPSILON = 2.220446049250313e-16
 
-_jit = numba.njit(cache=True, error_model="numpy", nogil=True)
-
 
 class KernelProblem(NamedTuple):
-    """Constants of a category, as arrays."""
+    """Constants of a refinement, as arrays."""
 
-    basis: np.ndarray  # (M, 3, D)
-    part_of: np.ndarray  # (M,)
-    parents: np.ndarray  # (J,)
-    revolute: np.ndarray  # (J,) bool
-    hidden_weight: np.ndarray  # (H, D)
-    hidden_bias: np.ndarray  # (H,)
-    out_weight: np.ndarray  # (6 J, H)
-    out_bias: np.ndarray  # (6 J,)
-    nominal_axes: np.ndarray  # (J, 3)
+    prior: KernelPrior
     beta_mean: np.ndarray  # (D,)
     whitening: np.ndarray  # (D, D)
     free: np.ndarray  # (P, F)
@@ -58,81 +49,27 @@ class KernelSolution(NamedTuple):
 
 
 @inner
-def _joints(c, beta, axes, pivots, d_axes, d_pivots):
-    """J(beta) into axes, pivots (J, 3) and its derivatives (J, 3, D)."""
-    H, D = c.hidden_weight.shape
-    hidden, raw, slope = np.empty(H), np.empty(3), np.empty((3, D))
-    for h in range(H):
-        hidden[h] = c.hidden_bias[h]
-        for d in range(D):
-            hidden[h] += c.hidden_weight[h, d] * beta[d]
-    for j in range(len(c.parents)):
-        for first in (0, 3):  # axis, pivot
-            for i in range(3):
-                row = 6 * j + first + i
-                raw[i] = c.out_bias[row]
-                for d in range(D):
-                    slope[i, d] = 0.0
-                for h in range(H):
-                    if hidden[h] > 0.0:
-                        weight = c.out_weight[row, h]
-                        raw[i] += weight * hidden[h]
-                        for d in range(D):
-                            slope[i, d] += weight * c.hidden_weight[h, d]
-            if first == 0:
-                for i in range(3):
-                    raw[i] += c.nominal_axes[j, i]
-                length = math.sqrt(raw[0] ** 2 + raw[1] ** 2 + raw[2] ** 2)
-                for i in range(3):
-                    axes[j, i] = raw[i] / length
-                for d in range(D):
-                    along = axes[j, 0] * slope[0, d] + axes[j, 1] * slope[1, d] + axes[j, 2] * slope[2, d]
-                    for i in range(3):
-                        d_axes[j, i, d] = (slope[i, d] - axes[j, i] * along) / length
-            else:
-                used = 1.0 if c.revolute[j] else 0.0
-                for i in range(3):
-                    pivots[j, i] = used * raw[i]
-                    for d in range(D):
-                        d_pivots[j, i, d] = used * slope[i, d]
-
-
-@inner
 def _evaluate(c, x, targets, weights, limits, gradient, hessian, squared):
     """The energy at x; J^T r (P,), the lower triangle of J^T J (P, P) and each keypoint's squared distance (M,) are
     overwritten, the latter where it counts."""
-    M, _, D = c.basis.shape
-    J = len(c.parents)
+    prior = c.prior
+    M, _, D = prior.basis.shape
+    J = len(prior.parents)
     S, B, P = 6, 6 + J, 6 + J + D  # where joint states and beta begin
     states, beta = x[12 : 12 + J], x[12 + J :]
     axes, pivots = np.empty((J, 3)), np.empty((J, 3))
     d_axes, d_pivots = np.empty((J, 3, D)), np.empty((J, 3, D))
-    _joints(c, beta, axes, pivots, d_axes, d_pivots)
+    joint_function(prior, beta, axes, pivots, d_axes, d_pivots)
 
-    # Part transforms, and each joint carried to the camera frame by its parent part. With R the rotation of the
-    # parent and R' of the child, a point below the joint moves by K (R du) + (R - R') dq; both brackets are made here.
+    # With R the rotation of the parent and R' of the child, a point below the joint moves by K (R du) + (R - R') dq;
+    # both brackets are made here.
     G, g = np.empty((J + 1, 3, 3)), np.empty((J + 1, 3))
-    lines, centres, turn, v = np.empty((J, 3)), np.empty((J, 3)), np.empty((3, 3)), np.empty(3)
+    lines, centres, v = np.empty((J, 3)), np.empty((J, 3)), np.empty(3)
     by_axis, by_pivot = np.zeros((J, 3, D)), np.zeros((J, 3, D))
-    for i in range(3):
-        g[0, i] = x[9 + i]
-        for n in range(3):
-            G[0, i, n] = x[3 * i + n]
+    place_parts(prior, x, axes, pivots, G, g, lines, centres)
     for j in range(J):
-        parent = c.parents[j]
-        R, child, state = G[parent], G[j + 1], states[j]
-        times(R, axes[j], lines[j])
-        times(R, pivots[j], centres[j])
-        angle = state if c.revolute[j] else 0.0
-        rotation(axes[j], math.sin(angle), 1.0 - math.cos(angle), turn)
+        R, child = G[prior.parents[j]], G[j + 1]
         for i in range(3):
-            centres[j, i] += g[parent, i]
-            for n in range(3):
-                child[i, n] = R[i, 0] * turn[0, n] + R[i, 1] * turn[1, n] + R[i, 2] * turn[2, n]
-        times(child, pivots[j], v)
-        slide = 0.0 if c.revolute[j] else state
-        for i in range(3):
-            g[j + 1, i] = centres[j, i] - v[i] + slide * lines[j, i]
             for n in range(3):
                 lever = R[i, n] - child[i, n]
                 for d in range(D):
@@ -149,11 +86,11 @@ def _evaluate(c, x, targets, weights, limits, gradient, hessian, squared):
     for m in range(M):
         if weights[m] == 0.0:
             continue
-        part = c.part_of[m]
+        part = prior.part_of[m]
         for i in range(3):
             v[i] = 0.0
             for d in range(D):
-                v[i] += c.basis[m, i, d] * beta[d]
+                v[i] += prior.basis[m, i, d] * beta[d]
             for a in range(P):
                 rows[i, a] = 0.0
             rows[i, 3 + i] = 1.0
@@ -164,16 +101,16 @@ def _evaluate(c, x, targets, weights, limits, gradient, hessian, squared):
             arm[i] = g[0, i] - point[i]
             for n in range(3):
                 for d in range(D):
-                    rows[i, B + d] += G[part, i, n] * c.basis[m, n, d]
+                    rows[i, B + d] += G[part, i, n] * prior.basis[m, n, d]
         add_skew(1.0, arm, rows)
         while part > 0:  # every joint between the keypoint and the root
             j = part - 1
-            part = c.parents[j]
+            part = prior.parents[j]
             u = lines[j]
             for i in range(3):
                 for n in range(3):
                     K[i, n] = 0.0
-            if c.revolute[j]:
+            if prior.revolute[j]:
                 for i in range(3):
                     arm[i] = point[i] - centres[j, i]
                 cross(u, arm, v)
@@ -277,7 +214,7 @@ def _retract(free, x, step, turn, out):
             out[3 * i + n] = turn[i, 0] * x[n] + turn[i, 1] * x[3 + n] + turn[i, 2] * x[6 + n]
 
 
-@_jit
+@jit
 def _minimise_all(c, targets, weights, limits, points, hessians, squared, converged, iterations, most, smallest, share):
     """Rows of ``points`` are moved in place; ``hessians`` receive J^T J over the free directions, ``squared`` how far
     keypoints are from their targets."""
@@ -330,26 +267,27 @@ def prepare(
     prior: OmadPrior, whitening: Tensor, free: Tensor, limit_sigma: float, huber: float | None
 ) -> KernelProblem:
     """The prior and the energy's constants as float64 arrays; see ``refinement`` for their meaning."""
-
-    def array(tensor: Tensor) -> np.ndarray:
-        return np.ascontiguousarray(tensor.detach().cpu().numpy(), dtype=np.float64)
-
     return KernelProblem(
-        basis=array(prior.basis),
-        part_of=prior.part_of.cpu().numpy(),
-        parents=np.array(prior.tree.parents, dtype=np.int64),
-        revolute=prior.revolute.cpu().numpy(),
-        hidden_weight=array(prior.joint_hidden.weight),
-        hidden_bias=array(prior.joint_hidden.bias),
-        out_weight=array(prior.joint_out.weight),
-        out_bias=array(prior.joint_out.bias),
-        nominal_axes=array(prior.nominal_axes),
-        beta_mean=array(prior.beta_mean),
-        whitening=array(whitening),
-        free=array(free),
+        prior=kernel_prior(prior),
+        beta_mean=as_doubles(prior.beta_mean),
+        whitening=as_doubles(whitening),
+        free=as_doubles(free),
         limit_weight=1 / limit_sigma,
         huber=math.inf if huber is None else huber,
     )
+
+
+def place(problem: KernelProblem, targets: np.ndarray, weights: np.ndarray, states: np.ndarray, beta: np.ndarray):
+    """Base poses (B, 4, 4) where keypoints of states (B, J) and beta (B, D) are nearest to targets (B, M, 3)."""
+    rows = np.concatenate([np.empty((len(beta), 12)), states, beta], 1)
+    place_bases(problem.prior, targets, weights, rows)
+    return _poses(rows)
+
+
+def _poses(rows: np.ndarray) -> np.ndarray:
+    poses = np.zeros((len(rows), 4, 4))
+    poses[:, :3, :3], poses[:, :3, 3], poses[:, 3, 3] = rows[:, :9].reshape(-1, 3, 3), rows[:, 9:12], 1.0
+    return poses
 
 
 def solve(
@@ -374,7 +312,5 @@ def solve(
         termination.max_iterations, termination.step_tolerance, termination.cost_tolerance,
     )  # fmt: skip
     joints = states.shape[1]
-    poses = poses.copy()
-    poses[:, :3, :3], poses[:, :3, 3] = points[:, :9].reshape(batch, 3, 3), points[:, 9:12]
     states, beta = points[:, 12 : 12 + joints], points[:, 12 + joints :]
-    return KernelSolution(beta, states, poses, hessian, squared, converged, iterations)
+    return KernelSolution(beta, states, _poses(points), hessian, squared, converged, iterations)

@@ -12,6 +12,7 @@ import numba
 
 # Only called from compiled code: no wrappers for Python and C to compile.
 INNER: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+jit = numba.njit(cache=True, error_model="numpy", nogil=True)
 inner = numba.njit(cache=True, error_model="numpy", nogil=True, **INNER)
 
 

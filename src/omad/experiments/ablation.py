@@ -10,7 +10,7 @@ from typing import Any
 import torch
 
 from ..categories import Category
-from ..checkpoint import load_priornet, save_net, save_priornet, training_record
+from ..checkpoint import load_net, load_priornet, save_net, save_priornet, training_record
 from ..errors import InputError
 from ..objects import SampledObject
 from ..priornet import PriorNet
@@ -29,26 +29,34 @@ def train_variant(
     samples: int,
     seed: int,
     device: torch.device,
+    features: Path | None = None,
 ) -> Path:
     """Train prior and network of one variant under ``folder``: the network on ``samples`` views, the prior on twice as
-    many clouds. What is finished is not done again, what is half done goes on. Returns the network's checkpoint."""
+    many clouds. ``features``: the checkpoint of an OMADNet whose backbone the network starts from. What is finished is
+    not done again, what is half done goes on. Returns the network's checkpoint. Raises InputError where what is
+    finished had another budget or start."""
     checkpoint = checkpoint_of(folder, name)
     schedule = _short(variant.training.schedule, samples, seed)
+    start = training_record(features) if features else None
     if (checkpoint / "config.json").is_file():
-        _check_budget(checkpoint, schedule)
+        _check_same(checkpoint, schedule, start)
         return checkpoint
     own = variant.category(category)
     priornet = _prior(variant, own, models, folder, 2 * samples, seed, device)
     training = replace(variant.training, schedule=schedule)
-    net = train_net(models, own, priornet, checkpoint, training, device)
-    save_net(net, checkpoint, _record(schedule))
+    backbone = load_net(features) if features else None
+    net = train_net(models, own, priornet, checkpoint, training, device, features=backbone)
+    save_net(net, checkpoint, _record(schedule) | {"features": start})
     return checkpoint
 
 
-def _check_budget(checkpoint: Path, schedule: Schedule) -> None:
-    trained, wanted = (s["steps"] * s["batch"] for s in (training_record(checkpoint)["schedule"], asdict(schedule)))
+def _check_same(checkpoint: Path, schedule: Schedule, start: dict[str, Any] | None) -> None:
+    record = training_record(checkpoint)
+    trained, wanted = (s["steps"] * s["batch"] for s in (record["schedule"], asdict(schedule)))
     if trained != wanted:
         raise InputError(f"{checkpoint}: was trained on {trained} views, not on {wanted}; give another --output")
+    if record.get("features") != start:
+        raise InputError(f"{checkpoint}: was trained from another start; give the same --features or another --output")
 
 
 def checkpoint_of(folder: Path, name: str) -> Path:
