@@ -16,7 +16,7 @@ import numpy as np
 
 from .arrays import as_doubles
 from .prior import OmadPrior
-from .small_matrices import inner, jit, rotation, times
+from .small_matrices import fit_rotation, inner, jit, rotation, times
 
 
 class KernelPrior(NamedTuple):
@@ -124,7 +124,7 @@ def place_bases(c, targets, weights, rows):
     d_axes, d_pivots = np.empty((J, 3, D)), np.empty((J, 3, D))
     G, g = np.empty((J + 1, 3, 3)), np.empty((J + 1, 3))
     lines, centres = np.empty((J, 3)), np.empty((J, 3))
-    points, v = np.empty((M, 3)), np.empty(3)
+    points, v, turn = np.empty((M, 3)), np.empty(3), np.empty((3, 3))
     for o in range(len(rows)):
         x = rows[o]
         for i in range(12):
@@ -156,10 +156,9 @@ def place_bases(c, targets, weights, rows):
                 for n in range(3):
                     off = targets[o, m, i] - target_mean[i]
                     moment[i, n] += weights[o, m] * off * (points[m, n] - mean[n])
-        U, _, V = np.linalg.svd(moment)
-        sign = np.linalg.det(U) * np.linalg.det(V)
+        fit_rotation(moment, turn)
         for i in range(3):
+            x[9 + i] = target_mean[i]
             for n in range(3):
-                x[3 * i + n] = U[i, 0] * V[0, n] + U[i, 1] * V[1, n] + sign * U[i, 2] * V[2, n]
-        for i in range(3):
-            x[9 + i] = target_mean[i] - (x[3 * i] * mean[0] + x[3 * i + 1] * mean[1] + x[3 * i + 2] * mean[2])
+                x[3 * i + n] = turn[i, n]
+                x[9 + i] -= turn[i, n] * mean[n]

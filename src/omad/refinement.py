@@ -48,8 +48,8 @@ class RefinementConfig:
     huber: float | None = 3.0
     """Keypoints further than this many sigmas from their targets pull linearly instead of quadratically."""
     max_iterations: int = 60
-    step_tolerance: float = 1e-5
-    cost_tolerance: float = 1e-8
+    step_tolerance: float = 1e-7
+    cost_tolerance: float = 1e-10
     """See ``least_squares.TerminationConfig``."""
     backend: Literal["auto", "torch", "kernel"] = "auto"
     """'auto': the fused kernel (always float64) on the CPU, torch (in the dtype of the targets) elsewhere."""

@@ -9,6 +9,7 @@ import math
 from typing import Any
 
 import numba
+import numpy as np
 
 # Only called from compiled code: no wrappers for Python and C to compile.
 INNER: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
@@ -80,3 +81,43 @@ def solve_damped(A, extra, g, L, step):
             total -= L[k, i] * step[k]
         step[i] = total / L[i, i]
     return True
+
+
+@inner
+def fit_rotation(moment, out):
+    """The rotation nearest to ``moment`` = sum of b a^T, which brings points a nearest to points b.
+
+    Horn, "Closed-form solution of absolute orientation using unit quaternions", 1987. The matrix whose first
+    eigenvector is the quaternion is made positive and squared until nothing else is left of it.
+    """
+    K, squared = np.empty((4, 4)), np.empty((4, 4))
+    trace, size = moment[0, 0] + moment[1, 1] + moment[2, 2], 0.0
+    K[0, 0] = trace
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        K[0, i + 1] = moment[k, j] - moment[j, k]
+        K[i + 1, 0] = K[0, i + 1]
+        for n in range(3):
+            K[i + 1, n + 1] = moment[i, n] + moment[n, i]
+            size += moment[i, n] ** 2
+        K[i + 1, i + 1] -= trace
+    shift = 2.0 * math.sqrt(size)  # no eigenvalue is below minus the sum of the three singular values
+    for i in range(4):
+        K[i, i] += shift
+    for _ in range(14):
+        total = K[0, 0] + K[1, 1] + K[2, 2] + K[3, 3]
+        for i in range(4):
+            for n in range(4):
+                squared[i, n] = 0.0
+                for m in range(4):
+                    squared[i, n] += K[i, m] * K[m, n] / (total * total)
+        K, squared = squared, K
+    best = 0
+    for i in range(1, 4):
+        if K[i, i] > K[best, best]:
+            best = i
+    w, x, y, z = K[best, 0], K[best, 1], K[best, 2], K[best, 3]
+    double = 2.0 / (w * w + x * x + y * y + z * z)
+    out[0, 0], out[0, 1], out[0, 2] = 1 - double * (y * y + z * z), double * (x * y - w * z), double * (x * z + w * y)
+    out[1, 0], out[1, 1], out[1, 2] = double * (x * y + w * z), 1 - double * (x * x + z * z), double * (y * z - w * x)
+    out[2, 0], out[2, 1], out[2, 2] = double * (x * z - w * y), double * (y * z + w * x), 1 - double * (x * x + y * y)
