@@ -10,7 +10,7 @@ import torch
 
 from command_line import answer, refused
 from omad.categories import CATEGORIES, LAPTOP
-from omad.checkpoint import WEIGHTS, load_net, load_priornet, save_net
+from omad.checkpoint import WEIGHTS, find_weights, load_net, load_priornet, save_net
 from omad.errors import InputError
 from omad.estimator import Estimator
 from omad.evaluation import true_pose
@@ -127,6 +127,8 @@ def test_a_trained_variant_is_kept(tmp_path):
     assert (checkpoint / "model.safetensors").stat().st_mtime_ns == before
     with pytest.raises(InputError, match="64 views"):
         train_variant(variant, category, models, tmp_path, "small", 640, 0, torch.device("cpu"))
+    with pytest.raises(InputError, match="--features"):
+        train_variant(variant, category, models, tmp_path, "small", 64, 0, torch.device("cpu"), find_weights("laptop"))
 
 
 def test_ablation_of_settings_and_what_is_not_trained(here, capsys):

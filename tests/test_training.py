@@ -9,9 +9,11 @@ from torch import nn
 
 from omad.categories import LAPTOP
 from omad.errors import InputError
+from omad.omadnet import OmadNet
 from omad.priornet import PriorNet
+from omad.refinement_loss import FAR
 from omad.sources.procedural import generate
-from omad.train_net import NetTraining, train_net
+from omad.train_net import NetLossWeights, NetTraining, train_net
 from omad.train_prior import PriorTraining, train_prior
 from omad.training import Schedule, train
 
@@ -103,6 +105,29 @@ def test_network_training_learns_and_repeats(models, priornet, tmp_path):
     # the same up to the order in which a matrix product adds, which depends on where its memory lies
     for a, b in zip(first, second, strict=True):
         assert a["keypoints"] == pytest.approx(b["keypoints"], rel=1e-3)
+
+
+def test_the_refined_answer_is_learned_and_logged(models, priornet, tmp_path):
+    schedule = Schedule(steps=2, batch=8, log_steps=1)
+    for name, weight in (("with", 6.0), ("without", 0.0)):
+        train_net(
+            models, LAPTOP, priornet, tmp_path / name, NetTraining(schedule, weights=NetLossWeights(refinement=weight))
+        )
+    with_it, without = (
+        json.loads((tmp_path / name / "metrics.jsonl").read_text().splitlines()[-1]) for name in ("with", "without")
+    )
+    assert 0 < with_it["refinement"] < 6 * 3 * FAR
+    assert "refinement" not in without
+    assert with_it["keypoints"] != without["keypoints"]  # the first step already went another way
+
+
+def test_a_backbone_may_come_from_a_network_with_another_prior(models, priornet, tmp_path):
+    features = OmadNet(LAPTOP, PriorNet(LAPTOP).prior)
+    settings = NetTraining(schedule=Schedule(steps=1, batch=4, learning_rate=0.0))
+    net = train_net(models, LAPTOP, priornet, tmp_path, settings, features=features)
+    pairs = zip(net.backbone.parameters(), features.backbone.parameters(), strict=True)
+    assert all(torch.equal(a, b) for a, b in pairs)
+    torch.testing.assert_close(net.prior.basis, priornet.prior.basis)
 
 
 def test_fine_tuning_starts_from_given_weights_and_refuses_another_prior(models, priornet, tmp_path):

@@ -168,8 +168,7 @@ def train_net(
 
     config = {"kind": "net", "category": asdict(category), "objects": [m.name for m in models]}
     config |= {"backbone": asdict(settings.backbone), "views": asdict(settings.views)}
-    if not settings.attention:
-        config["attention"] = False
+    config |= {"weights": asdict(settings.weights), "attention": settings.attention}
     averaged = train(net, loss_terms, settings.schedule, folder, config)
     assert isinstance(averaged, OmadNet)
     return averaged
