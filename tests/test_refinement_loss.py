@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 import torch
 from torch import Tensor
 
 from omad.categories import Category
+from omad.geometry import point_to_line
+from omad.kinematics import JointLines, joint_lines, part_transforms
 from omad.refinement import RefinementConfig, Refiner, Targets
-from omad.refinement_loss import FAR, RefinedError, refined_error, refinement_loss
+from omad.refinement_loss import FAR, RefinedError, axis_distance, refined_error, refinement_loss
 from test_refinement import CASES, Scene, scene
 
 
@@ -32,6 +36,12 @@ def errors(s: Scene, noise: Tensor, prior_weight: float) -> tuple[Tensor, Tensor
     )
 
 
+def lines_of(s: Scene) -> JointLines:
+    joints, tree = s.prior.joints(s.truth.beta), s.prior.tree
+    G = part_transforms(tree, joints.axes, joints.pivots, s.truth.joint_states, s.truth.T_camera_base)
+    return joint_lines(tree, joints.axes, joints.pivots, G)
+
+
 @pytest.mark.parametrize("category", CASES, ids=lambda category: category.name)
 @pytest.mark.parametrize("cause", ["noise", "prior"])
 def test_first_order_error_of_the_refinement(category: Category, cause: str) -> None:
@@ -51,7 +61,8 @@ def test_loss_falls_along_its_gradient_and_is_nothing_at_the_truth() -> None:
     whitening = torch.zeros(s.prior.basis_size, s.prior.basis_size, dtype=torch.float64)
 
     def loss(keypoints: Tensor) -> Tensor:
-        return refinement_loss(refined_error(s.prior, keypoints, s.targets.weights, s.truth, whitening))
+        error = refined_error(s.prior, keypoints, s.targets.weights, s.truth, whitening)
+        return refinement_loss(error, axis_distance(s.prior, s.truth, error, lines_of(s)))
 
     assert loss(s.targets.keypoints) < 1e-4
     keypoints = (s.targets.keypoints + 0.01 * torch.randn_like(s.targets.keypoints)).requires_grad_()
@@ -60,13 +71,23 @@ def test_loss_falls_along_its_gradient_and_is_nothing_at_the_truth() -> None:
     assert loss(keypoints - 1e-3 * gradient / gradient.norm()) < before
 
 
-def test_loss_adds_up_mean_sizes_and_saturates() -> None:
-    def of(size: float) -> float:
-        error = RefinedError(
-            torch.tensor([[0.6, 0.8, 0.0]]), torch.tensor([[0.0, 0.0, 2.0]]), torch.tensor([[-1.0, 3.0]])
-        )
-        shrunk = RefinedError(error.rotation * size, error.translation * size, error.states * size)
-        return refinement_loss(shrunk).item()
+def test_axes_are_as_far_off_as_those_of_the_refined_answer() -> None:
+    s = scene(CASES[1], batch=6)
+    refiner = Refiner(s.prior, s.limits, RefinementConfig(prior_weight=1e-9, huber=None))
+    targets = Targets(s.targets.keypoints + 1e-3 * torch.randn_like(s.targets.keypoints), s.targets.weights)
+    error = refined_error(s.prior, targets.keypoints, targets.weights, s.truth, refiner.whitening)
+    lines = lines_of(replace(s, truth=refiner(targets, s.truth).state))
+    true = lines_of(s)
+    expected = point_to_line(lines.pivots, true.axes, true.pivots)
+    torch.testing.assert_close(axis_distance(s.prior, s.truth, error, true), expected, atol=2e-5, rtol=0.05)
 
-    assert of(1e-3) == pytest.approx(1e-3 * (1 + 2 + 2), rel=0.01)
-    assert of(1e3) == pytest.approx(3 * FAR, rel=0.01)
+
+def test_loss_adds_up_mean_sizes_and_saturates() -> None:
+    rotation, translation = torch.tensor([[0.6, 0.8, 0.0]]), torch.tensor([[0.0, 0.0, 2.0]])
+
+    def of(size: float) -> float:
+        error = RefinedError(size * rotation, size * translation, size * torch.tensor([[-1.0, 3.0]]), torch.ones(1, 5))
+        return refinement_loss(error, size * torch.tensor([[4.0, 6.0]])).item()
+
+    assert of(1e-3) == pytest.approx(1e-3 * (1 + 2 + 2 + 5), rel=0.03)
+    assert of(1e3) == pytest.approx(4 * FAR, rel=0.01)

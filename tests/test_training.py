@@ -116,7 +116,7 @@ def test_the_refined_answer_is_learned_and_logged(models, priornet, tmp_path):
     with_it, without = (
         json.loads((tmp_path / name / "metrics.jsonl").read_text().splitlines()[-1]) for name in ("with", "without")
     )
-    assert 0 < with_it["refinement"] < 6 * 3 * FAR
+    assert 0 < with_it["refinement"] < 6 * 4 * FAR
     assert "refinement" not in without
     assert with_it["keypoints"] != without["keypoints"]  # the first step already went another way
 

@@ -14,7 +14,7 @@ from .observation import Observation
 
 FEW_POINTS = 500
 """Standard views, which networks are trained on, have at least so many."""
-HIGH_RESIDUAL = 0.05
+HIGH_RESIDUAL = 0.07
 """RMS distance of model and seen keypoints in category units."""
 ODD_SIZE = 4.0
 """A cloud so many times larger or smaller than usual is none of the category at its size."""

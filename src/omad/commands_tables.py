@@ -190,7 +190,7 @@ class EvalAblation(_OnViews):
     category: CategoryName = "laptop"
     depth_noise: bool = True
     """Simulate the depth camera's noise."""
-    samples: int = 8_000
+    samples: int = 16_000
     """Views that a variant's network is trained on; its prior sees twice as many clouds."""
     variants: tuple[str, ...] = ()
     """Which to train; default: all. Quote them: "no attention"."""

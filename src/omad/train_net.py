@@ -13,7 +13,7 @@ from .categories import Category
 from .errors import InputError
 from .geometry import invert_transform, make_transform, matrix_to_quaternion, quarter_turns, so3_exp
 from .keypoint_jacobian import State
-from .kinematics import deform
+from .kinematics import deform, joint_lines, part_transforms
 from .losses import confidence_loss, joint_loss, quaternion_loss, state_loss
 from .objects import SampledObject
 from .omadnet import OmadNet, first_frame, to_input_frame
@@ -21,7 +21,7 @@ from .pointnet2 import SLIM, BackboneConfig
 from .prior import JointParameters
 from .priornet import PriorNet
 from .refinement import RefinementConfig, beta_whitening
-from .refinement_loss import refined_error, refinement_loss
+from .refinement_loss import axis_distance, refined_error, refinement_loss
 from .train_prior import object_keypoints
 from .training import Schedule, train
 from .views import SurfaceBank, ViewBatch, ViewSettings, draw_views
@@ -130,7 +130,9 @@ def net_losses(
         at_truth = State(truth.beta, views.states, T_input_base)
         precision = (-2 * out.log_sigma.detach()).exp()
         error = refined_error(prior, out.keypoints, precision, at_truth, whitening)
-        terms["refinement"] = weights.refinement * refinement_loss(error)
+        G = part_transforms(prior.tree, views.axes, views.pivots, views.states, T_input_base)
+        distance = axis_distance(prior, at_truth, error, joint_lines(prior.tree, views.axes, views.pivots, G))
+        terms["refinement"] = weights.refinement * refinement_loss(error, distance)
     return terms
 
 
