@@ -142,6 +142,12 @@ def test_ablation_of_settings_and_what_is_not_trained(here, capsys):
     assert slow > 5 * fast
 
 
+def test_features_of_another_category_are_refused(here, capsys):
+    said = refused(capsys, "eval", "ablation", "--category", "laptop", "--features", str(WEIGHTS / "drawer"))
+    assert "--features" in said
+    assert "drawer" in said
+
+
 def test_unknown_variant_is_refused(here, capsys):
     assert "no attention" in refused(capsys, "eval", "ablation", "--variants", "no attentoin")
 

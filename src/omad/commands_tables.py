@@ -28,10 +28,11 @@ from .experiments.predictions import (
 from .experiments.table1 import Metrics, comparison, row, rows
 from .experiments.true_keypoints import from_true_keypoints
 from .experiments.variants import SETTINGS, TRAINED
-from .options import BrokenFiles, CategoryName, Device, Json, Result, Seed, check_positive
+from .options import BrokenFiles, CategoryName, Device, Json, Result, Seed, check_category, check_positive
 from .runtime import keep_freed_memory, pick_device
 from .sources.select import ViewSource, load_training_objects, load_views, shown_objects
 from .spec_file import get_category
+from .train_net import NetTraining
 
 
 @dataclass(frozen=True)
@@ -243,6 +244,11 @@ class EvalAblation(_OnViews):
         if self.threads:
             torch.set_num_threads(self.threads)
         models = load_training_objects("procedural", category, self.training_objects, 0, self.broken)
+        if self.features is not None:
+            net = load_net(self.features)
+            check_category("--features", self.features, net.category, self.category)
+            if net.backbone.config != NetTraining().backbone:
+                raise InputError(f"--features {self.features}: is not of the slim size that variants have; give one that is")
         device = pick_device(self.device)
         for name in self.variants or TRAINED:
             variant = TRAINED[name]
