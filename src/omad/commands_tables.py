@@ -248,7 +248,7 @@ class EvalAblation(_OnViews):
             net = load_net(self.features)
             check_category("--features", self.features, net.category, self.category)
             if net.backbone.config != NetTraining().backbone:
-                raise InputError(f"--features {self.features}: is not of the slim size that variants have; give one that is")
+                raise InputError(f"--features {self.features}: is not slim, as variants are; give one that is")
         device = pick_device(self.device)
         for name in self.variants or TRAINED:
             variant = TRAINED[name]
