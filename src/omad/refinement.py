@@ -260,7 +260,7 @@ def _check(sizes: tuple[int, int, int], dtype: torch.dtype, targets: Targets, in
             raise InputError(f"{name}: {tensor.dtype}, but the prior is {dtype}; convert one")
     if limits.dim() == 3 and len(limits) not in (1, batch):
         raise InputError(f"limits: for {len(limits)} observations, there are {batch}; give (J, 2) for all of them")
-    if targets.weights.min() < 0:
+    if (targets.weights < 0).any():
         raise InputError("targets.weights: negative, give 1 / sigma^2 or 0 to leave a keypoint out")
 
 

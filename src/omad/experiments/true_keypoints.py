@@ -9,7 +9,6 @@ import torch
 
 from ..estimator import Estimator
 from ..evaluation import true_pose
-from ..geometry import fit_transform
 from ..kinematics import joint_lines, part_transforms
 from ..metrics import ObjectPose
 from ..object_prior import object_prior, placed
@@ -39,13 +38,11 @@ def from_true_keypoints(
     targets = Targets(keypoints, torch.full(keypoints.shape[:2], SIGMA**-2))
 
     limits = torch.tensor([joint.limits for joint in category.joints])
-    start_beta = prior.beta_mean.expand(len(views), -1)
     states = limits.mean(1).expand(len(views), -1)
-    eye = torch.eye(4).expand(len(views), 4, 4)
-    start = State(
-        start_beta, states, fit_transform(prior.deform(start_beta, states, eye), targets.keypoints, targets.weights)
-    )
-    found = Refiner(prior, limits, estimator.config.refinement)(targets, start).state
+    at_origin = torch.eye(4).expand(len(views), 4, 4)
+    refiner = Refiner(prior, limits, estimator.config.refinement)
+    start = refiner.placed(targets, State(prior.beta_mean.expand(len(views), -1), states, at_origin))
+    found = refiner(targets, start).state
     joints = prior.joints(found.beta)
     G = part_transforms(prior.tree, joints.axes, joints.pivots, found.joint_states, found.T_camera_base)
     lines = joint_lines(prior.tree, joints.axes, joints.pivots, G)
