@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test check docs
+.PHONY: demo test test-quick check docs
 
 demo: $(VENV)/.installed
 	$(BIN)/omad demo
@@ -11,10 +11,14 @@ demo: $(VENV)/.installed
 test: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest
 
+test-quick: $(VENV)/.installed-dev
+	$(BIN)/python -m pytest -m "not slow"
+
 check: $(VENV)/.installed-dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright
+	$(BIN)/lint-imports
 
 docs: $(VENV)/.installed-dev
 	$(BIN)/sphinx-build -W -b html docs build/site

@@ -17,14 +17,16 @@ import torch
 import tyro
 from bench_refinement import median_ms
 
-from omad.ancsh.alignment import Alignment, AlignmentConfig, align
-from omad.ancsh.coordinates import Coordinates, part_boxes, true_coordinates
-from omad.ancsh.net import AncshPrediction
-from omad.categories import CATEGORIES, Category
-from omad.geometry import rotation_angle
-from omad.kinematics import part_transforms
-from omad.sources.procedural import generate
-from omad.views import SurfaceBank, ViewBatch, ViewSettings, draw_views
+from omad.data.procedural import generate
+from omad.data.training_views import SurfaceBank, ViewBatch, ViewSettings, draw_views
+from omad.evaluation.baselines.ancsh.alignment import Alignment, AlignmentConfig, align
+from omad.evaluation.baselines.ancsh.coordinates import Coordinates, part_boxes, true_coordinates
+from omad.evaluation.baselines.ancsh.net import AncshPrediction
+from omad.geometry.kinematics import part_transforms
+from omad.geometry.transforms import rotation_angle
+from omad.objects.builtin import builtin_names
+from omad.objects.category import Category
+from omad.objects.category_file import get_category
 
 
 @dataclass(frozen=True)
@@ -94,10 +96,10 @@ def errors(found: Alignment, views: ViewBatch, category: Category) -> dict[str, 
 
 
 def main(config: Config) -> None:
-    names = [config.category] if config.category else list(CATEGORIES)
+    names = [config.category] if config.category else builtin_names()
     answer = {
         "machine": f"{platform.processor() or platform.machine()}, {torch.get_num_threads()} thread(s)",
-        **{name: measure(CATEGORIES[name], config) for name in names},
+        **{name: measure(get_category(name), config) for name in names},
     }
     print(json.dumps(answer) if config.json else "\n".join(f"{key}: {value}" for key, value in answer.items()))
 

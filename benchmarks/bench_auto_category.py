@@ -17,14 +17,14 @@ from scipy.optimize import minimize
 from scipy.special import logsumexp
 from tqdm import tqdm
 
-from omad.auto_category import WEIGHTS
-from omad.checkpoint import shipped_categories
-from omad.depth_noise import LEVELS
-from omad.estimator import Estimator
-from omad.evidence import Evidence, weigh
-from omad.observation import Observation
-from omad.sources.select import load_models
-from omad.standard_views import standard_view
+from omad.data.rendering.depth_noise import LEVELS
+from omad.data.rendering.standard_views import standard_view
+from omad.data.source import load_models
+from omad.estimation.category_ranking import LOG_ODDS
+from omad.estimation.estimator import Estimator
+from omad.estimation.evidence import Evidence, measure_evidence
+from omad.model.checkpoint import shipped_categories
+from omad.sensing.observation import Observation
 
 OBJECTS = 10
 """Procedural ones a category; of a folder all are taken."""
@@ -71,7 +71,9 @@ def looks(config: Config, estimators: list[Estimator], source: str, truth: int) 
         Look(
             source,
             truth,
-            np.stack([weigh(observation, found[i], estimator).values for estimator, found in answers]),
+            np.stack(
+                [measure_evidence(observation, found[i], estimator.net.prior).values for estimator, found in answers]
+            ),
         )
         for i, observation in enumerate(seen)
     ]
@@ -108,7 +110,7 @@ def main(config: Config) -> None:
         known = [i for i, name in enumerate(names) if source == "procedural" or (Path(source) / name).is_dir()]
         found = [look for i in tqdm(known, desc=source) for look in looks(config, estimators, source, i)]
         print(f"{source}, {config.views} views a category, noise {config.noise}")
-        print(confusion(found, names, WEIGHTS))
+        print(confusion(found, names, LOG_ODDS))
         for number, name in enumerate(FIELDS):
             alone = np.eye(len(FIELDS))[number]
             print(f"{name} alone, {confusion(found, names, alone).splitlines()[-1]}")

@@ -19,14 +19,16 @@ import numpy as np
 import torch
 import tyro
 
-from omad.adam_recipe import refine_with_adam
-from omad.estimator import Estimator
-from omad.observation import Observation
-from omad.omadnet import first_frame
-from omad.refinement import Refined, RefinementConfig, State, Targets, refine
-from omad.runtime import keep_freed_memory
-from omad.sources.procedural import generate
-from omad.standard_views import standard_views
+from omad.common.runtime import keep_freed_memory
+from omad.data.procedural import generate
+from omad.data.rendering.standard_views import standard_views
+from omad.estimation.estimator import Estimator
+from omad.evaluation.baselines.adam import refine_with_adam
+from omad.model.fitting.energy import RefinementConfig
+from omad.model.fitting.refinement import Refiner
+from omad.model.fitting.state import Refined, State, Targets
+from omad.model.network_input import first_frame, sample_clouds
+from omad.sensing.observation import Observation
 
 PLAIN = RefinementConfig(prior_weight=0.0, huber=None, limit_sigma=1e6)
 
@@ -63,7 +65,8 @@ def main(config: Config) -> None:
     models = [generate(category, index, "test") for index in range(20)]
     views = list(standard_views(models, category, config.views))
     observations = [Observation.from_depth(view.depth, view.camera) for view in views]
-    clouds, _ = estimator._sample(observations, sum(estimator.config.samples))
+    size, samples = estimator.net.backbone.config.points, sum(estimator.config.samples)
+    clouds, _ = sample_clouds(observations, size, samples, estimator.config.seed, category, "cpu")
     look = estimator._look(clouds[:, :1], first_frame(clouds.flatten(1, 2)))
     limits = torch.tensor([joint.limits for joint in category.joints])
 
@@ -73,7 +76,7 @@ def main(config: Config) -> None:
 
     def solve(rows: torch.Tensor, settings: RefinementConfig) -> Refined:
         targets, start = problem(rows)
-        return refine(prior, targets, start, limits.expand(len(rows), -1, -1), settings)
+        return Refiner(prior, limits, settings)(targets, start)
 
     many = torch.arange(config.batch) % config.views
     default = estimator.config.refinement

@@ -21,10 +21,11 @@ import numpy as np
 import trimesh
 import tyro
 
-from omad.objects import Mesh, ObjectModel
-from omad.sources.procedural import generate
-from omad.spec_file import get_category
-from omad.view_folder import render_to_folder
+from omad.data.procedural import generate
+from omad.data.rendering.view_folder import render_to_folder
+from omad.geometry.mesh import Mesh
+from omad.objects.category_file import get_category
+from omad.objects.model import ObjectModel
 
 
 @dataclass(frozen=True)

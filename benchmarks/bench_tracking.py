@@ -24,22 +24,23 @@ import torch
 import tyro
 from PIL import Image
 from scipy.spatial.transform import Rotation
+from sequences import SequenceConfig, SequenceFrame, render_sequence
 
-from omad.camera import STANDARD_CAMERA
-from omad.checkpoint import find_weights, load_priornet
-from omad.errors import NothingSeen
-from omad.estimate import Estimate
-from omad.estimator import Estimator
-from omad.files import read_depth
-from omad.observation import Observation
-from omad.runtime import keep_freed_memory
-from omad.sources.procedural import generate
-from omad.tracking.motion import Placement
-from omad.tracking.summary import spread
-from omad.tracking.synthetic import SequenceConfig, SequenceFrame, render_sequence
-from omad.tracking.tracker import TrackedEstimate, Tracker
-from omad.train_prior import object_keypoints
-from omad.views import SurfaceBank
+from omad.applications.tracking.motion import Placement
+from omad.applications.tracking.sequence import spread
+from omad.applications.tracking.tracker import TrackedEstimate, Tracker
+from omad.common.errors import NothingSeen
+from omad.common.runtime import keep_freed_memory
+from omad.data.procedural import generate
+from omad.data.training_views import SurfaceBank
+from omad.estimation.estimate import Estimate
+from omad.estimation.estimator import Estimator
+from omad.geometry.camera import STANDARD_CAMERA
+from omad.model.checkpoint import find_weights, load
+from omad.model.object_prior import object_keypoints
+from omad.model.priornet import PriorNet
+from omad.sensing.depth_files import read_depth
+from omad.sensing.observation import Observation
 
 
 @dataclass(frozen=True)
@@ -84,7 +85,7 @@ def follow(estimator: Estimator, number: int, config: Config, folder: Path) -> F
     """Render one object's sequence and run both."""
     category, prior = estimator.category, estimator.net.prior
     model = generate(category, number, "test", config.seed)
-    net = load_priornet(find_weights(config.category) / "prior")
+    net = load(PriorNet, find_weights(config.category) / "prior")
     middle = config.frames // 2
     settings = SequenceConfig(frames=config.frames, gap=(middle, middle + config.gap), seed=number)
     frames, paths = list(render_sequence(model, category, settings)), []
@@ -152,7 +153,7 @@ def turned(estimator: Estimator, quarters: int, config: Config) -> float:
 def report(estimator: Estimator, runs: list[Followed], config: Config) -> dict[str, Any]:
     """All numbers of the sequences together."""
     category = estimator.category
-    factor = [np.degrees(1) if turns else 100.0 for turns in category.revolute]
+    factor = [np.degrees(1) if turns else 100.0 for turns in category.turning]
     joints, end = [], config.frames // 2 + config.gap
     rows = [
         [

@@ -13,11 +13,11 @@ import numpy as np
 import tyro
 from matplotlib.figure import Figure
 
-from omad.contact_sheet import picture
-from omad.report import save
-from omad.sources.folder import load_folder
-from omad.sources.procedural import generate
-from omad.spec_file import get_category
+from omad.data.procedural import generate
+from omad.data.urdf_import.folder import load_folder
+from omad.objects.category_file import get_category
+from omad.output.contact_sheet import picture
+from omad.output.picture import save
 
 COLUMNS = 6
 

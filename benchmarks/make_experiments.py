@@ -15,9 +15,8 @@ from typing import Any
 import tyro
 from make_tables import replaced
 
-from omad.categories import CATEGORIES
-from omad.commands_tables import EvalAblation, EvalTable1, EvalTable2
-from omad.files import write_atomic
+from omad.cli.paper import EvalAblation, EvalTable1, EvalTable2
+from omad.common.files import write_atomic
 
 PAGE = Path(__file__).parent.parent / "docs" / "experiments.md"
 NAMES = {"ancsh": "A-NCSH", "omad_initial": "OMAD initial", "omad_refined": "**OMAD refined**"}
@@ -28,7 +27,7 @@ HEAD = ["joint state (° or u)", "axis angle (°)", "axis distance (u)", "rotati
 class Config:
     """What to measure."""
 
-    categories: tuple[str, ...] = tuple(CATEGORIES)
+    categories: tuple[str, ...] = ("laptop", "eyeglasses", "dishwasher", "scissors", "drawer")
     ablation: Path = Path("omad-ablation")
     ablation_of: str = "laptop"
     samples: int = 16_000
@@ -73,7 +72,7 @@ def milliseconds(seconds: float | None) -> str:
 
 
 def table1(config: Config) -> list[str]:
-    _, answer = EvalTable1(categories=config.categories, cache=config.cache).run()
+    answer = EvalTable1(categories=config.categories, cache=config.cache).run().record
     rows = [["category", "method", *HEAD, "missing", "network, alignment, all (ms)"]]
     for line in answer["rows"]:
         times = ", ".join(milliseconds(line["seconds"][key]) for key in ("network", "refinement", "total"))
@@ -96,7 +95,7 @@ def table1(config: Config) -> list[str]:
 
 def table2(config: Config) -> list[str]:
     command = EvalTable2(categories=config.categories, cache=config.cache / "table2", ablation=config.ablation)
-    _, answer = command.run()
+    answer = command.run().record
     rows = [["category", "keypoints", *HEAD]]
     for line in answer["rows"]:
         rows.append([line["category"], line["method"], *cells(line)])
@@ -113,7 +112,7 @@ def ablation(config: Config) -> list[str]:
         train=False,
         samples=config.samples,
     )
-    _, answer = command.run()
+    answer = command.run().record
     rows = [[answer["ablation"], *HEAD, "refinement (ms)"]]
     for line in answer["rows"]:
         rows.append([line["method"], *cells(line), milliseconds(line["seconds"]["refinement"])])

@@ -2,7 +2,7 @@
 
     python benchmarks/make_golden.py
 
-Writes ``tests/data/golden_<category>.npz``: 24 standard views of 12 objects, noise off and on in turn, 1200 points
+Writes ``tests/golden/golden_<category>.npz``: 24 standard views of 12 objects, noise off and on in turn, 1200 points
 stored in steps of 0.2 mm.
 """
 
@@ -12,17 +12,17 @@ from pathlib import Path
 
 import numpy as np
 
-from omad.checkpoint import shipped_categories
-from omad.depth_noise import LEVELS
-from omad.evaluation import true_pose
-from omad.files import write_atomic
-from omad.observation import Observation
-from omad.sources.procedural import generate
-from omad.spec_file import get_category
-from omad.standard_views import standard_view
+from omad.common.files import write_atomic
+from omad.data.procedural import generate
+from omad.data.rendering.depth_noise import LEVELS
+from omad.data.rendering.standard_views import standard_view
+from omad.evaluation.evaluate import true_pose
+from omad.model.checkpoint import shipped_categories
+from omad.objects.category_file import get_category
+from omad.sensing.observation import Observation
 
 POINTS, VIEWS, SEED, STEP = 1200, 24, 11, 2e-4
-FOLDER = Path(__file__).parent.parent / "tests" / "data"
+FOLDER = Path(__file__).parent.parent / "tests" / "golden"
 
 
 def main() -> None:

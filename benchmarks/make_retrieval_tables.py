@@ -15,9 +15,8 @@ from typing import Any
 import tyro
 from make_tables import replaced
 
-from omad.categories import CATEGORIES
-from omad.commands_retrieval import EvalRetrieval
-from omad.files import write_atomic
+from omad.cli.evaluate import EvalRetrieval, ViewsOfEach
+from omad.common.files import write_atomic
 
 PAGE = Path(__file__).parent.parent / "docs" / "retrieval.md"
 METHODS = {
@@ -39,7 +38,7 @@ SHARES = ("map_at_10", "nearest_neighbour", "first_tier", "second_tier")
 class Config:
     """What to measure."""
 
-    categories: tuple[str, ...] = tuple(CATEGORIES)
+    categories: tuple[str, ...] = ("laptop", "eyeglasses", "dishwasher", "scissors", "drawer")
     objects: int = 50
     views: int = 100
     """Of each object."""
@@ -76,9 +75,12 @@ def main(config: Config) -> None:
     answers: dict[str, dict[str, Any]] = {}
     for category in config.categories:
         command = EvalRetrieval(
-            category, objects=config.objects, views=config.views, draws=config.draws, cache=config.cache
+            category=category,
+            data=ViewsOfEach(objects=config.objects, views=config.views),
+            draws=config.draws,
+            cache=config.cache,
         )
-        answers |= command.run()[1]
+        answers |= command.run().record
     text = replaced(PAGE.read_text(), "table3", table(answers, config.objects))
     write_atomic(PAGE, lambda path: path.write_text(text))
 

@@ -1,10 +1,10 @@
-"""Measure the shipped weights and write README's tables of accuracy.
+"""Measure the shipped weights and write the docs' tables of accuracy.
 
     OMP_NUM_THREADS=1 python benchmarks/make_tables.py [--models FOLDER] [--categories laptop drawer]
 
 ``--models``: a folder with one sub-folder of URDF or PartNet-Mobility models a category (``FOLDER/laptop/...``);
 without it the table of foreign models stays as it is. Tables stand between ``<!-- name -->`` and ``<!-- end -->`` in
-README.md. Answers are kept in ``--cache`` and made anew only where they are missing: a table is rewritten in a second.
+docs/results.md. Answers are kept in ``--cache`` and made anew only where they are missing.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from typing import Any
 
 import tyro
 
-from omad.categories import CATEGORIES
-from omad.commands_eval import EvalPose
-from omad.files import make_folder, write_atomic
+from omad.cli.evaluate import EvalPose
+from omad.cli.options import Views
+from omad.common.files import make_folder, write_atomic
 
-README = Path(__file__).parent.parent / "README.md"
+PAGE = Path(__file__).parent.parent / "docs" / "results.md"
 PAPER = {
     "laptop": ("3.3", "3.7", "0.03"),
     "eyeglasses": ("4.9; 5.2", "4.2; 4.6", "0.05; 0.04"),
@@ -39,7 +39,7 @@ class Config:
     """What to measure."""
 
     models: Path | None = None
-    categories: tuple[str, ...] = tuple(CATEGORIES)
+    categories: tuple[str, ...] = ("laptop", "eyeglasses", "dishwasher", "scissors", "drawer")
     cache: Path = Path("runs/tables")
     views: int = 200
     """On procedural objects."""
@@ -53,7 +53,8 @@ def measured(config: Config, category: str, source: str, noisy: bool, views: int
     file = config.cache / f"{category}-{kind}-{'on' if noisy else 'off'}-{views}.json"
     if not file.is_file():
         print(f"{category}, {kind}, noise {'on' if noisy else 'off'}", file=sys.stderr)
-        _, answer = EvalPose(category, source=source, views=views, depth_noise=noisy).run()
+        data = Views(source=source, views=views, depth_noise=noisy)
+        answer = EvalPose(category=category, data=data).run().record
         make_folder(config.cache)
         write_atomic(file, lambda path: path.write_text(json.dumps(answer)))
     return json.loads(file.read_text())
@@ -124,10 +125,10 @@ def replaced(text: str, name: str, lines: list[str]) -> str:
 
 
 def main(config: Config) -> None:
-    text = replaced(README.read_text(), "procedural", procedural_table(config))
+    text = replaced(PAGE.read_text(), "procedural", procedural_table(config))
     if config.models is not None:
         text = replaced(text, "models", models_table(config, config.models))
-    write_atomic(README, lambda path: path.write_text(text))
+    write_atomic(PAGE, lambda path: path.write_text(text))
 
 
 if __name__ == "__main__":

@@ -24,28 +24,28 @@ __all__ = [
 ]
 
 _HOMES = {
-    "Estimate": "estimate",
-    "Estimator": "estimator",
-    "EstimatorConfig": "estimator",
-    "InputError": "errors",
-    "Known": "known",
-    "Observation": "observation",
-    "ShapeIndex": "retrieval.index",
-    "Tracker": "tracking.tracker",
-    "get_category": "spec_file",
-    "show": "report",
+    "Estimate": "estimation.estimate",
+    "Estimator": "estimation.estimator",
+    "EstimatorConfig": "estimation.estimator",
+    "InputError": "common.errors",
+    "Known": "estimation.known",
+    "Observation": "sensing.observation",
+    "ShapeIndex": "applications.retrieval.index",
+    "Tracker": "applications.tracking.tracker",
+    "get_category": "objects.category_file",
+    "show": "output.picture",
 }
 
 if TYPE_CHECKING:
-    from .errors import InputError
-    from .estimate import Estimate
-    from .estimator import Estimator, EstimatorConfig
-    from .known import Known
-    from .observation import Observation
-    from .report import show
-    from .retrieval.index import ShapeIndex
-    from .spec_file import get_category
-    from .tracking.tracker import Tracker
+    from omad.applications.retrieval.index import ShapeIndex
+    from omad.applications.tracking.tracker import Tracker
+    from omad.common.errors import InputError
+    from omad.estimation.estimate import Estimate
+    from omad.estimation.estimator import Estimator, EstimatorConfig
+    from omad.estimation.known import Known
+    from omad.objects.category_file import get_category
+    from omad.output.picture import show
+    from omad.sensing.observation import Observation
 
 
 def __getattr__(name: str) -> Any:

@@ -1,5 +1,5 @@
 """``python -m omad``."""
 
-from .cli import main
+from omad.cli.main import main
 
 main()

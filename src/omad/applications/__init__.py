@@ -1,0 +1,1 @@
+"""What one does with estimates: follow an object, find it again, explore its category."""

@@ -1,0 +1,132 @@
+"""What the explorer draws: from shape parameters and joint states to geometry. Pure; it knows nothing of the page.
+
+Everything is in the canonical base frame (y up, z to the front), in metres and radians.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+import torch
+
+from omad.common.arrays import as_doubles
+from omad.estimation.estimate import Estimate
+from omad.geometry.mesh import Mesh, convex_hull
+from omad.model.fitting.state import State
+from omad.model.posed_object import PosedObject, posed_objects
+from omad.model.prior import OmadPrior
+from omad.objects.category import Category
+from omad.output.picture import reading
+
+SIGMAS = 3.0
+"""How far a shape slider goes to either side."""
+
+
+@dataclass(frozen=True)
+class ObjectState:
+    """One object of the category: what all sliders say together."""
+
+    beta: np.ndarray
+    """(D,) shape parameters."""
+    joint_states: np.ndarray
+    """(J,) radians or metres."""
+
+    def with_joint(self, joint: int, state: float) -> Self:
+        """The same object with one joint moved."""
+        return replace(self, joint_states=_changed(self.joint_states, joint, state))
+
+
+@dataclass(frozen=True)
+class JointRange:
+    """A joint's slider, in the units in which a person reads it."""
+
+    name: str
+    unit: str
+    """° or cm."""
+    per_unit: float
+    """Radians or metres of one of these."""
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """Geometry of an object."""
+
+    keypoints: np.ndarray
+    """(M, 3)."""
+    hulls: tuple[Mesh, ...]
+    """Per part the convex hull of its keypoints, at rest."""
+    T_base_part: np.ndarray
+    """(K, 4, 4) takes rest coordinates of a part to where it is."""
+    arrows: np.ndarray
+    """(J, 2, 3) tail and head of each joint's axis."""
+
+
+class ObjectSpace:
+    """All objects that a category's prior knows."""
+
+    def __init__(self, prior: OmadPrior, category: Category) -> None:
+        self.category, self._prior = category, prior
+        self._mean, self._covariance = as_doubles(prior.beta_mean), as_doubles(prior.beta_covariance)
+        self._sigma = np.maximum(np.sqrt(np.clip(np.diag(self._covariance), 0, None)), 1e-9)
+        self.limits = category.metric_limits
+        """(J, 2) radians or metres."""
+
+    @property
+    def components(self) -> int:
+        """Numbers that beta has."""
+        return len(self._mean)
+
+    @property
+    def joint_ranges(self) -> tuple[JointRange, ...]:
+        """A slider for each joint."""
+        ranges = []
+        for joint, limits in zip(self.category.joints, self.limits, strict=True):
+            per_unit, unit = reading(joint.motion.turns)
+            ranges.append(JointRange(joint.name, unit.strip(), per_unit, *(limits / per_unit).tolist()))
+        return tuple(ranges)
+
+    def mean(self) -> ObjectState:
+        """The mean shape, every joint at rest (or as near to it as its limits let it)."""
+        return ObjectState(self._mean.copy(), np.clip(0.0, *self.limits.T))
+
+    def random(self, rng: np.random.Generator) -> ObjectState:
+        """A shape from the prior's normal distribution, joint states uniform within limits."""
+        beta = rng.multivariate_normal(self._mean, self._covariance, method="eigh")
+        return ObjectState(beta, rng.uniform(*self.limits.T))
+
+    def estimated(self, estimate: Estimate) -> ObjectState:
+        """The object that was found."""
+        return ObjectState(estimate.beta.copy(), estimate.joint_states)
+
+    def sigmas(self, state: ObjectState) -> np.ndarray:
+        """(D,) how many standard deviations each number of beta is away from its mean."""
+        return (state.beta - self._mean) / self._sigma
+
+    def with_sigma(self, state: ObjectState, component: int, sigmas: float) -> ObjectState:
+        """The same joints with one number of beta changed."""
+        value = float(self._mean[component] + sigmas * self._sigma[component])
+        return replace(state, beta=_changed(state.beta, component, value))
+
+    def draw(self, state: ObjectState) -> Drawing:
+        """Keypoints, part hulls and joint axes of an object."""
+        values = (state.beta, state.joint_states / self.category.state_units, np.eye(4))
+        like = self._prior.learned_basis
+        [posed] = posed_objects(self._prior, self.category, State(*(torch.as_tensor(v).to(like)[None] for v in values)))
+        hulls = tuple(convex_hull(posed.canonical_keypoints[part]) for part in self._prior.keypoints_of_part)
+        return Drawing(posed.keypoints, hulls, posed.placed.T_camera_part, self._arrows(posed))
+
+    def _arrows(self, posed: PosedObject) -> np.ndarray:
+        """An axis passes the part that it moves, and sticks out of it on either side."""
+        arrows, least, pose = [], 0.3 * self.category.metres_per_unit, posed.placed
+        for joint, (axis, pivot, turns) in enumerate(zip(pose.axes, pose.pivots, self.category.turning, strict=True)):
+            moved = posed.keypoints[self._prior.keypoints_of_part[joint + 1]]
+            foot = pivot + axis * (axis @ (moved.mean(0) - pivot)) if turns else moved.mean(0)
+            half = max(0.6 * float(np.ptp(moved @ axis)), least)
+            arrows.append([foot - half * axis, foot + half * axis])
+        return np.array(arrows)
+
+
+def _changed(values: np.ndarray, index: int, value: float) -> np.ndarray:
+    return np.where(np.arange(len(values)) == index, value, values)

@@ -1,0 +1,1 @@
+"""Which object is this, whatever its pose: a catalogue of objects, asked by shape parameters."""

@@ -1,0 +1,76 @@
+"""Entries of a catalogue from object models, from views, and from people's own depth images and clouds."""
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from omad.common.batches import batched, progress
+from omad.common.errors import InputError
+from omad.data.rendering.standard_views import View
+from omad.estimation.estimator import Estimator
+from omad.model.priornet import PriorNet
+from omad.objects.model import ObjectModel
+from omad.sensing.observation import Observation
+
+from .index import Entry
+from .picture import model_thumbnail, view_thumbnail
+from .signature import Signature, estimate_signature, fuse, model_signatures, prior_fingerprint
+
+
+@dataclass(frozen=True)
+class Seen:
+    """One observation that goes into a catalogue."""
+
+    name: str
+    """Of the object; several observations may be of the same."""
+    source: str
+    observation: Observation
+
+
+@dataclass
+class Catalogued:
+    """Signatures with their entries, and what could not be taken in."""
+
+    signatures: list[Signature] = field(default_factory=list)
+    entries: list[Entry] = field(default_factory=list)
+    refused: list[dict[str, str]] = field(default_factory=list)
+    """Name and reason of each."""
+
+
+def from_models(net: PriorNet, models: Sequence[ObjectModel], source: str) -> Catalogued:
+    """One entry a model; its signature is PriorNet's, which sees the whole surface."""
+    entries = [Entry(model.name, source, model_thumbnail(model)) for model in models]
+    return Catalogued(model_signatures(net, models), entries)
+
+
+def from_observations(estimator: Estimator, seen: Iterable[Seen], fused: bool, batch: int = 32) -> Catalogued:
+    """An entry an observation, or with ``fused`` one an object, from all observations that bear its name,
+    with the picture of its first view."""
+    prior, found = prior_fingerprint(estimator.net.prior, estimator.category), Catalogued()
+    rows: dict[str, list[int]] = {}
+    for some in batched(seen, batch):
+        for thing, estimate in zip(some, estimator([thing.observation for thing in some]), strict=True):
+            rows.setdefault(thing.name, []).append(len(found.entries))
+            found.signatures.append(estimate_signature(estimate, prior))
+            found.entries.append(Entry(thing.name, thing.source, view_thumbnail(thing.observation)))
+    if not fused:
+        return found
+    signatures = [fuse([found.signatures[row] for row in own]) for own in rows.values()]
+    return Catalogued(signatures, [found.entries[own[0]] for own in rows.values()])
+
+
+def seen_views(views: Iterable[View], total: int, source: str, refused: list[dict[str, str]]) -> Iterator[Seen]:
+    """Observations of rendered views; those that show too little are added to ``refused``."""
+    for number, view in enumerate(progress(views, total)):
+        try:
+            observation = view.observation()
+        except InputError as error:
+            refused.append({"name": f"{view.object} (view {number})", "reason": str(error)})
+            continue
+        yield Seen(view.object, source, observation)
+
+
+def object_of(file: Path, root: Path) -> str:
+    """What object a file shows: its sub-folder of ``root`` says it, or its own name where it lies in ``root``."""
+    inside = file.relative_to(root)
+    return inside.parts[0] if len(inside.parts) > 1 else file.stem

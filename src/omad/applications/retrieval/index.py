@@ -1,0 +1,181 @@
+"""A catalogue of objects that is asked by shape. One file holds it, whole or not at all."""
+
+import io
+import json
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, Self
+
+import numpy as np
+
+from omad.common.errors import InputError
+from omad.common.files import write_atomic
+
+from .search import ExactSearch, GraphSearch, Neighbours
+from .signature import Signature, Space, information_factor
+
+FORMAT = "omad-index-2"
+Backend = Literal["exact", "faiss"]
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """What a catalogue says of one signature. Several entries may name the same object."""
+
+    name: str
+    """Of the object."""
+    source: str = ""
+    """Where it came from: a file, say."""
+    thumbnail: bytes = b""
+    """A small PNG; empty where there is none."""
+
+
+@dataclass(frozen=True)
+class Hit:
+    """One entry of an answer."""
+
+    entry: Entry
+    distance: float
+    """In the space's measure: metres between keypoints, units of beta, or standard deviations."""
+
+
+class ShapeIndex:
+    """Signatures of one prior with their entries.
+
+    index = ShapeIndex(Space.of(net.prior, net.category))
+    index.add(signatures, entries)
+    hits = index.search(signature, count=5)
+    """
+
+    def __init__(self, space: Space, backend: Backend = "exact") -> None:
+        self.space, self.backend = space, backend
+        self.entries: list[Entry] = []
+        self._betas = np.zeros((0, len(space.factor)), dtype=np.float32)
+        self._covariances = np.zeros_like(space.factor)
+        self._added: list[np.ndarray] = []
+        self._search: ExactSearch | GraphSearch | None = None
+
+    def __len__(self) -> int:
+        return len(self.entries)
+
+    @property
+    def betas(self) -> np.ndarray:
+        """(N, D) float32, in the order of ``entries``."""
+        if self._added:
+            self._betas, self._added = np.concatenate([self._betas, *self._added]), []
+        return self._betas
+
+    @property
+    def usual_covariance(self) -> np.ndarray:
+        """(D, D) mean of the entries'; those of unknown covariance, as of object models, count as certain."""
+        return self._covariances / max(len(self), 1)
+
+    def add(self, signatures: Sequence[Signature], entries: Sequence[Entry]) -> None:
+        """Add objects. Raises InputError for a signature of another prior."""
+        if len(signatures) != len(entries):
+            raise InputError(f"{len(signatures)} signatures for {len(entries)} entries; give one each")
+        for signature in signatures:
+            self.space.check(signature)
+        if signatures:
+            self.add_betas(np.stack([signature.beta for signature in signatures]), entries)
+            known = [signature.covariance for signature in signatures if signature.covariance is not None]
+            self._covariances = self._covariances + sum(known)
+
+    def add_betas(self, betas: np.ndarray, entries: Sequence[Entry]) -> None:
+        """``add`` for many at a time: betas (n, D) that are known to be of this prior."""
+        betas = np.asarray(betas, dtype=np.float32)
+        if betas.shape != (len(entries), len(self.space.factor)) or not np.isfinite(betas).all():
+            raise InputError(f"betas: expected finite ({len(entries)}, {len(self.space.factor)}), got {betas.shape}")
+        self._added.append(betas)
+        self.entries += entries
+        self._search = None
+
+    def search(self, signature: Signature, count: int = 10, by_information: bool = False) -> list[Hit]:
+        """The ``count`` nearest entries, nearest first. ``by_information`` weighs every direction of beta by how surely
+        this one query and the entries know it (distances are then in standard deviations); all entries are compared,
+        whatever the backend. Raises InputError for a signature of another prior, and where its covariance is needed
+        and not known."""
+        self.space.check(signature)
+        if by_information:
+            if signature.covariance is None:
+                raise InputError("the query's covariance is not known; leave out the weighting by information")
+            factor = information_factor(signature.covariance, self.usual_covariance)
+            found = ExactSearch(self.betas @ factor.T).nearest((factor @ signature.beta)[None], count)
+        else:
+            found = self.nearest(signature.beta[None], count)
+        pairs = zip(found.rows[0], found.distances[0].tolist(), strict=True)
+        return [Hit(self.entries[row], distance) for row, distance in pairs if row >= 0]
+
+    def search_objects(self, signature: Signature, count: int = 10, by_information: bool = False) -> list[Hit]:
+        """As ``search``, but every object once, by its nearest entry."""
+        asked = count
+        while True:
+            hits = self.search(signature, asked, by_information)
+            objects = {hit.entry.name: hit for hit in reversed(hits)}  # the nearest entry is the last to be kept
+            if len(objects) >= count or asked >= len(self):
+                return sorted(objects.values(), key=lambda hit: hit.distance)[:count]
+            asked = min(4 * asked, len(self))
+
+    def nearest(self, betas: np.ndarray, count: int) -> Neighbours:
+        """Rows and distances of the nearest entries of many queries (Q, D) of this prior, as many as there are."""
+        count = min(count, len(self))
+        if not count:
+            return Neighbours(np.zeros((len(betas), 0), dtype=np.int64), np.zeros((len(betas), 0)))
+        if self._search is None:
+            vectors = self._vectors(self.betas)
+            self._search = GraphSearch.of(vectors) if self.backend == "faiss" else ExactSearch(vectors)
+        return self._search.nearest(self._vectors(betas), count)
+
+    def _vectors(self, betas: np.ndarray) -> np.ndarray:
+        return (np.asarray(betas, dtype=np.float64) @ self.space.factor.T).astype(np.float32)
+
+    def save(self, path: str | Path) -> None:
+        """Write one file in place of what was there; a crash leaves the old one."""
+        head = {name: getattr(self.space, name) for name in ("prior", "category", "metric")}
+        head |= {"format": FORMAT, "backend": self.backend}
+        head |= {"names": [entry.name for entry in self.entries], "sources": [entry.source for entry in self.entries]}
+        pictures = [entry.thumbnail for entry in self.entries]
+        arrays = {"head": np.frombuffer(json.dumps(head).encode(), dtype=np.uint8), "factor": self.space.factor}
+        arrays |= {"betas": self.betas, "covariances": self._covariances}
+        arrays["thumbnails"] = np.frombuffer(b"".join(pictures), dtype=np.uint8)
+        arrays["thumbnail_sizes"] = np.array([*map(len, pictures)], dtype=np.int64)
+        if self.backend == "faiss" and len(self):
+            self.nearest(self.betas[:1], 1)  # builds the graph, if that is not done
+            assert isinstance(self._search, GraphSearch)
+            arrays["graph"] = self._search.to_bytes()
+
+        def write(temporary: Path) -> None:
+            with temporary.open("wb") as file:
+                np.savez(file, allow_pickle=False, **arrays)
+                file.flush()
+                os.fsync(file.fileno())  # the name must not be on the disk before the content is
+
+        write_atomic(path, write)
+
+    @classmethod
+    def load(cls, path: str | Path) -> Self:
+        """Read what ``save`` wrote. Raises InputError for a missing, damaged or foreign file."""
+        if not Path(path).is_file():
+            raise InputError(f"{path}: no such file; omad index build makes one")
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                arrays = dict(file)
+            head = dict(json.loads(arrays["head"].tobytes()))
+        except Exception as error:  # a damaged archive raises anything
+            raise InputError(f"{path}: not an index, or damaged; build it anew") from error
+        if head.get("format") != FORMAT:
+            raise InputError(f"{path}: format {head.get('format')!r} is not {FORMAT}; build the index anew")
+        try:
+            index = cls(Space(head["prior"], head["category"], head["metric"], arrays["factor"]), head["backend"])
+            pictures = io.BytesIO(arrays["thumbnails"].tobytes())
+            columns = zip(head["names"], head["sources"], arrays["thumbnail_sizes"].tolist(), strict=True)
+            entries = [Entry(name, source, pictures.read(size)) for name, source, size in columns]
+            index.add_betas(arrays["betas"], entries)
+            index._covariances = arrays["covariances"]
+        except (KeyError, ValueError, TypeError) as error:
+            raise InputError(f"{path}: a part of the index is missing or wrong ({error}); build it anew") from error
+        if "graph" in arrays:
+            index._search = GraphSearch.from_bytes(arrays["graph"])
+        return index

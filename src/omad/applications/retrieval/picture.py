@@ -1,0 +1,78 @@
+"""Thumbnails of a catalogue's entries, and a ranking as a picture."""
+
+import io
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.figure import Figure
+from PIL import Image
+
+from omad.common.errors import InputError
+from omad.objects.model import ObjectModel
+from omad.output.contact_sheet import picture
+from omad.output.picture import blank_panels
+from omad.sensing.observation import Observation
+
+from .index import Hit
+
+SIZE = 96
+"""Pixels across a thumbnail."""
+COLUMNS = 6
+
+
+def model_thumbnail(model: ObjectModel) -> bytes:
+    """The object at rest, from its front and a little from the right and above."""
+    return _png(picture(model, np.zeros(len(model.axes))))
+
+
+def view_thumbnail(observation: Observation) -> bytes:
+    """The object's points as the camera saw them, dark where they are far."""
+    return _png(_seen(observation))
+
+
+def ranking_figure(observations: Sequence[Observation], hits: Sequence[Hit], unit: str) -> Figure:
+    """The query's views, then the entries found, nearest first; ``unit`` stands behind distances."""
+    count = len(observations) + len(hits)
+    columns, rows = min(COLUMNS, count), -(-count // COLUMNS)
+    fig, axes = blank_panels(rows, columns, (2.2 * columns, 2.8 * rows))
+    axes = axes.ravel()
+    for panel, observation in zip(axes, observations, strict=False):
+        panel.imshow(_seen(observation))
+        panel.set_title("query", fontsize=9, color="crimson")
+    for number, (panel, hit) in enumerate(zip(axes[len(observations) :], hits, strict=False), 1):
+        if hit.entry.thumbnail:
+            panel.imshow(_read(hit.entry.thumbnail))
+        panel.set_title(f"{number}. {hit.entry.name}\n{hit.distance:.3g} {unit}", fontsize=7)
+    fig.subplots_adjust(left=0.01, right=0.99, bottom=0.01, top=0.86, wspace=0.05, hspace=0.3)
+    return fig
+
+
+def _seen(observation: Observation) -> np.ndarray:
+    """(SIZE, SIZE, 3) of the points, the nearest one of every pixel."""
+    points = observation.points[np.argsort(-observation.points[:, 2])].astype(np.float64)  # near ones are drawn last
+    rays = points[:, :2] / np.maximum(points[:, 2:], 1e-6)
+    low, high = rays.min(0), rays.max(0)
+    scale = 0.9 * (SIZE - 1) / max(float((high - low).max()), 1e-9)
+    column, row = np.rint((rays - (low + high) / 2) * scale + (SIZE - 1) / 2).astype(int).clip(0, SIZE - 1).T
+    near, far = observation.depth_range
+    light = (1 - (points[:, 2] - near) / max(far - near, 1e-9)).clip(0, 1)
+    image = np.ones((SIZE, SIZE, 3))
+    image[row, column] = 0.15 + 0.6 * light[:, None] * np.array([0.6, 0.85, 1.0])
+    return image
+
+
+def _png(image: np.ndarray) -> bytes:
+    """A small PNG of (H, W, 3) in [0, 1]."""
+    stored = Image.fromarray(np.rint(255 * image.clip(0, 1)).astype(np.uint8))
+    stored.thumbnail((SIZE, SIZE))
+    buffer = io.BytesIO()
+    stored.quantize(32).save(buffer, "PNG", optimize=True)
+    return buffer.getvalue()
+
+
+def _read(thumbnail: bytes) -> np.ndarray:
+    try:
+        with Image.open(io.BytesIO(thumbnail)) as image:
+            return np.asarray(image.convert("RGB"))
+    except OSError as error:
+        raise InputError("a thumbnail of the index is damaged; build the index anew") from error

@@ -1,0 +1,123 @@
+"""Frames in order: which files they are, and when each was taken."""
+
+import csv
+import re
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from omad.common.errors import InputError
+from omad.sensing.reader import input_files
+
+STAMPS = {19: 1e-9, 16: 1e-6, 13: 1e-3, 10: 1.0}
+"""Seconds per unit of a time stamp since 1970 by its number of digits."""
+
+
+@dataclass(frozen=True)
+class FrameFile:
+    """One frame of a sequence."""
+
+    path: Path
+    time: float
+    """Seconds since the first frame."""
+
+
+@dataclass
+class Clock:
+    """Tells when a frame was taken: by a table, or by its name, or by counting.
+
+    A name that ends in 10, 13, 16 or 19 digits, or in a number with a decimal point, is a time stamp in seconds, ms,
+    us or ns; one that ends in a shorter number is that frame of ``fps`` a second, so that missing frames leave a gap.
+    """
+
+    fps: float
+    table: dict[str, float] | None = None
+    """Seconds by file name or stem."""
+    first: float | None = None
+    count: int = 0
+
+    def __call__(self, path: Path) -> float:
+        """Seconds since the first frame asked for. Raises InputError for a file that the table does not name."""
+        time = self._read(path)
+        self.count += 1
+        self.first = time if self.first is None else self.first
+        return time - self.first
+
+    def _read(self, path: Path) -> float:
+        if self.table is not None:
+            found = self.table.get(path.name, self.table.get(path.stem))
+            if found is None:
+                raise InputError(f"{path}: the table of times has no line for it; add one, or leave --times out")
+            return found
+        number = re.search(r"(\d+)(\.\d+)?$", path.stem)
+        if number is None:
+            return self.count / self.fps
+        if number[2]:
+            return float(number[0])
+        unit = STAMPS.get(len(number[0]))
+        return int(number[0]) / self.fps if unit is None else int(number[0]) * unit
+
+
+def frames_of(folder: Path, clock: Clock) -> list[FrameFile]:
+    """The frames of a folder by time. Raises InputError for a folder without any, and for two of one time."""
+    paths = sorted(input_files([folder]), key=_in_counting_order)
+    frames = sorted((FrameFile(path, clock(path)) for path in paths), key=lambda frame: frame.time)
+    for one, other in zip(frames, frames[1:], strict=False):
+        if one.time == other.time:
+            raise InputError(f"{other.path}: has the same time as {one.path.name}; give the times with --times")
+    return frames
+
+
+def frames_from(lines: Iterable[str], clock: Clock) -> Iterator[FrameFile]:
+    """Frames named one a line; after a tab a line may hold the time in seconds."""
+    for line in lines:
+        name, _, time = line.rstrip("\r\n").partition("\t")
+        if not name:
+            continue
+        try:
+            seconds = float(time) if time else None
+        except ValueError as error:
+            raise InputError(f"{name}: time {time!r} is no number of seconds") from error
+        yield FrameFile(Path(name), clock(Path(name)) if seconds is None else seconds)
+
+
+def read_times(path: Path) -> dict[str, float]:
+    """Seconds by file name from a CSV of lines ``name,seconds``; a head line is skipped. Raises InputError."""
+    times: dict[str, float] = {}
+    for number, row in enumerate(read_rows(path), 1):
+        try:
+            times[row[0].strip()] = float(row[1])
+        except (IndexError, ValueError) as error:
+            if number > 1:
+                raise InputError(f"{path}: line {number} is not 'name,seconds'; correct it") from error
+    if not times:
+        raise InputError(f"{path}: holds no line 'name,seconds'")
+    return times
+
+
+def read_truth(path: Path, joints: tuple[str, ...]) -> dict[str, list[float]]:
+    """Joint states by file name from a CSV with a column ``frame`` and one for each joint: radians or metres."""
+    rows = read_rows(path)
+    head = [name.strip() for name in rows[0]] if rows else []
+    missing = [name for name in ("frame", *joints) if name not in head]
+    if missing:
+        raise InputError(f"{path}: has no column {missing[0]!r}; needed: frame, {', '.join(joints)}")
+    frame, columns = head.index("frame"), [head.index(name) for name in joints]
+    try:
+        return {row[frame].strip(): [float(row[column]) for column in columns] for row in rows[1:] if row}
+    except (IndexError, ValueError) as error:
+        raise InputError(f"{path}: a line is short or holds no number ({error}); correct it") from error
+
+
+def read_rows(path: Path) -> list[list[str]]:
+    """Rows of a CSV file. Raises InputError."""
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            return list(csv.reader(file))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"{path}: not readable as CSV; give a text file with commas") from error
+
+
+def _in_counting_order(path: Path) -> list[tuple[int, str]]:
+    """Frame 2 comes before frame 10, zeros in front or not."""
+    return [(int(word), "") if word.isdigit() else (-1, word) for word in re.split(r"(\d+)", path.name)]

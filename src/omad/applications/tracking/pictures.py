@@ -1,0 +1,100 @@
+"""Pictures of a track: joint states over time, and a film of what was seen."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from PIL import Image, ImageDraw
+
+from omad.estimation.estimate import Estimate
+from omad.geometry.camera import Camera
+from omad.objects.category import Category
+from omad.output.picture import axis_segment, part_colours, reading
+from omad.sensing.observation import Observation
+
+from .tracker import TrackedEstimate
+
+UNSEEN = {"lost": ("0.82", "lost"), "coasting": ("0.93", "predicted")}
+"""Shades of grey behind the frames that were not used, and what they are called."""
+WIDTH = 320
+"""Pixels of a film's frames."""
+Truth = Sequence[list[float] | None]
+"""True joint states of each frame; None where they are not known."""
+
+
+def states_over_time(category: Category, tracked: Sequence[TrackedEstimate], truth: Truth | None = None) -> Figure:
+    """A panel a joint, in degrees or centimetres: the smoothed state with one standard deviation, each frame's own
+    answer, and the truth."""
+    joints = category.joints
+    fig = Figure(figsize=(10, 1.2 + 2.6 * len(joints)), facecolor="white", layout="constrained")
+    panels = fig.subplots(len(joints), 1, sharex=True, squeeze=False)[:, 0]
+    times = np.array([each.time for each in tracked])
+    for j, (panel, joint) in enumerate(zip(panels, joints, strict=True)):
+        per_unit, unit = reading(joint.motion.turns)
+        found = [each.estimate.joints[j] if each.estimate else None for each in tracked]
+        state, std = np.array([(one.state, one.state_std) if one else (np.nan,) * 2 for one in found]).T / per_unit
+        single = np.array([each.single.joints[j].state if each.single else np.nan for each in tracked]) / per_unit
+        _shade_unseen(panel, tracked, times)
+        panel.plot(times, single, ".", color="0.45", markersize=3.5, label="each frame alone")
+        panel.fill_between(times, state - std, state + std, color="tab:blue", alpha=0.25, linewidth=0)
+        panel.plot(times, state, color="tab:blue", linewidth=1.6, label="tracked, ± 1 standard deviation")
+        if truth is not None:
+            true = [np.nan if states is None else states[j] / per_unit for states in truth]
+            panel.plot(times, true, "--", color="black", linewidth=1.1, label="truth")
+        panel.set(ylabel=f"{joint.name} ({unit.strip()})", xmargin=0.01)
+        panel.grid(alpha=0.3)
+    panels[-1].set_xlabel("seconds")
+    fig.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=5, frameon=False)
+    return fig
+
+
+def _shade_unseen(panel: Axes, tracked: Sequence[TrackedEstimate], times: np.ndarray) -> None:
+    ends = np.append(times[1:], times[-1:])
+    for status, (shade, label) in UNSEEN.items():
+        for each, end in zip(tracked, ends, strict=True):
+            if each.status == status:
+                panel.axvspan(each.time, end, color=shade, linewidth=0, label=label)
+                label = "_"  # the legend names it once
+
+
+class Film:
+    """Small pictures of frames with what was tracked in them, for an animated GIF."""
+
+    def __init__(self) -> None:
+        self.pictures: list[Image.Image] = []
+
+    def add(self, observation: Observation | None, tracked: TrackedEstimate) -> None:
+        """A frame's depth with keypoints and joint axes; frames without an image repeat the last background."""
+        if observation is None or observation.depth is None or observation.camera is None:
+            if self.pictures:
+                blank = Image.new("RGB", self.pictures[-1].size, (40, 40, 40))
+                ImageDraw.Draw(blank).text((6, 4), tracked.status, fill="white")
+                self.pictures.append(blank)
+            return
+        camera, scale = observation.camera, WIDTH / observation.camera.width
+        near, far = observation.depth_range
+        grey = np.where(observation.depth > 0, 1 - (observation.depth - near) / (far - near + 1e-6) * 0.7, 0)
+        image = Image.fromarray((255 * np.clip(grey, 0, 1)).astype(np.uint8))
+        image = image.resize((WIDTH, round(scale * camera.height))).convert("RGB")
+        draw = ImageDraw.Draw(image)
+        draw.text((6, 4), f"{tracked.time:.1f} s  {tracked.status}", fill="white")
+        if tracked.estimate is not None:
+            _draw_estimate(draw, camera.zoomed(scale), tracked.estimate)
+        self.pictures.append(image)
+
+    def save(self, path, seconds: float) -> None:
+        """Write the GIF; it takes ``seconds``."""
+        first, *others = (picture.quantize(64) for picture in self.pictures)
+        each = max(round(1000 * seconds / len(self.pictures)), 20)
+        first.save(path, save_all=True, append_images=others, duration=each, loop=0)
+
+
+def _draw_estimate(draw: ImageDraw.ImageDraw, camera: Camera, estimate: Estimate) -> None:
+    for joint in estimate.joints:
+        ends = camera.project(axis_segment(joint.axis, joint.pivot, estimate.keypoints))
+        draw.line(ends.ravel().tolist(), fill=(220, 20, 60), width=2)
+    pixels = camera.project(estimate.keypoints).tolist()
+    for (u, v), part in zip(pixels, estimate.category.part_of_keypoint, strict=True):
+        red, green, blue = (255 * part_colours(part)).astype(int)
+        draw.ellipse((u - 3, v - 3, u + 3, v + 3), fill=(red, green, blue), outline="black")

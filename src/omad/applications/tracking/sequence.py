@@ -1,0 +1,174 @@
+"""A sequence on its way through the tracker, and what is written of it: lines, table, plot, film and summary, which
+tells how long the object was followed, and where truth is known how well."""
+
+import csv
+import json
+import os
+import sys
+import time
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, TextIO
+
+import numpy as np
+
+from omad.common.batches import progress
+from omad.common.errors import InputError, NothingSeen
+from omad.common.files import one_line, write_atomic, write_json
+from omad.objects.category import Category
+from omad.output.picture import save
+from omad.sensing.input_options import InputOptions
+from omad.sensing.observation import Observation
+from omad.sensing.reader import InputReader
+
+from .frames import FrameFile
+from .pictures import Film, Truth, states_over_time
+from .tracker import TrackedEstimate, Tracker
+
+
+@dataclass
+class TrackedSequence:
+    """Follows one object frame by frame into the files of a folder."""
+
+    tracker: Tracker
+    options: InputOptions
+    """How frames are to be read."""
+    output: Path
+    film: Film | None = None
+    stream: bool = False
+    """Frames come while they are tracked: each is answered on stdout, and even the first may be refused."""
+    files: list[FrameFile] = field(default_factory=list)
+    tracked: list[TrackedEstimate] = field(default_factory=list)
+    refused: list[dict[str, str]] = field(default_factory=list)
+    seconds: list[float] = field(default_factory=list)
+    reader: InputReader | None = None
+    size: str = ""
+    lines: TextIO | None = None
+
+    def follow(self, frames: Iterable[FrameFile]) -> None:
+        """Track frame by frame. A line is written as soon as its frame is done. A frame that cannot be used is named
+        under ``refused``; raises InputError where the options are wrong for every frame."""
+        for frame in frames if self.stream else progress(frames, None, "frame"):
+            began = time.perf_counter()
+            try:
+                observation = self._read(frame.path)
+                tracked = self.tracker(observation, frame.time)
+            except InputError as error:
+                self._refuse(frame, error)
+                continue
+            self.seconds.append(time.perf_counter() - began)
+            self.files.append(frame)
+            self.tracked.append(tracked)
+            self._write({"frame": frame.path.name, **tracked.to_dict()})
+            if self.film is not None:
+                self.film.add(observation, tracked)
+
+    def _read(self, path: Path) -> Observation | None:
+        """None where the frame is in order and shows nothing."""
+        if self.reader is None:
+            self.reader = InputReader.of(self.options, [path])
+        try:
+            observation = self.reader(path)
+        except NothingSeen:
+            return None
+        if observation.depth is not None:
+            height, width = observation.depth.shape
+            self.size = self.size or f"{width}x{height}"
+            if (size := f"{width}x{height}") != self.size:
+                cure = "intrinsics hold for one size, track them apart"
+                raise InputError(f"{path}: is {size}, earlier frames are {self.size}; {cure}")
+        return observation
+
+    def _refuse(self, frame: FrameFile, error: InputError) -> None:
+        reason = one_line(error)
+        if str(frame.path) not in reason:
+            reason = f"{frame.path}: {reason}"
+        if self.reader is None and not self.stream:
+            raise InputError(reason) from error  # the options are wrong for every frame
+        print(f"omad: {reason}", file=sys.stderr)
+        self.refused.append({"frame": frame.path.name, "reason": reason})
+        self._write({"frame": frame.path.name, "time": frame.time, "status": "refused", "reason": reason})
+
+    def _write(self, answer: dict[str, Any]) -> None:
+        text = json.dumps(answer)
+        if self.lines is None:
+            path = self.output / f".frames-{os.getpid()}.jsonl"  # until all lines are there
+            write_atomic(path, lambda temporary: None)
+            self.lines = path.open("w", encoding="utf-8")
+        self.lines.write(text + "\n")
+        if self.stream:
+            print(text, flush=True)
+
+    def close(self) -> None:
+        """End the file of lines, whole or not."""
+        if self.lines is not None:
+            self.lines.close()
+            Path(self.lines.name).replace(self.output / "frames.jsonl")
+
+    def finish(self, truth: dict[str, list[float]] | None) -> dict[str, Any]:
+        """Write table, plot, film and summary; returns the summary."""
+        folder, category = self.output, self.tracker.estimator.category
+        true = None if truth is None else [truth.get(f.path.name, truth.get(f.path.stem)) for f in self.files]
+        seconds = float(np.median(self.seconds)) if self.seconds else None
+        summary = {"category": category.name, "output": str(folder), **summarise(category, self.tracked, true)}
+        summary |= {"seconds_per_frame": seconds, "beta": self.tracker.shape.mean.tolist(), "refused": self.refused}
+        if self.tracked:
+            save(states_over_time(category, self.tracked, true), folder / "states.png")
+            write_atomic(folder / "states.csv", lambda path: self._table(path, category))
+        if (film := self.film) is not None and film.pictures:
+            lasting = self.tracked[-1].time - self.tracked[0].time
+            write_atomic(folder / "track.gif", lambda path: film.save(path, lasting))
+        write_json(folder / "summary.json", summary, indent=1)
+        return summary
+
+    def _table(self, path: Path, category: Category) -> None:
+        """states.csv: one line a frame; empty where a state is not known."""
+        names = [joint.name for joint in category.joints]
+        with path.open("w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file)
+            head = [f"{name}{of}" for name in names for of in ("", "_std", "_single")]
+            writer.writerow(["frame", "time", "status", *head])
+            for frame, one in zip(self.files, self.tracked, strict=True):
+                row = [frame.path.name, f"{frame.time:.6f}", one.status]
+                for j in range(len(names)):
+                    joint = one.estimate and one.estimate.joints[j]
+                    row += [f"{joint.state:.6f}", f"{joint.state_std:.6f}"] if joint else ["", ""]
+                    row.append(f"{one.single.joints[j].state:.6f}" if one.single else "")
+                writer.writerow(row)
+
+
+def summarise(category: Category, tracked: Sequence[TrackedEstimate], truth: Truth | None = None) -> dict[str, Any]:
+    """Frames by status, the last joint states, and their range; with ``truth`` the errors of tracked and single
+    answers on the same frames. Radians and metres."""
+    statuses = [one.status for one in tracked]
+    seen = [one.estimate for one in tracked if one.estimate]
+    joints: list[dict[str, Any]] = []
+    for j, spec in enumerate(category.joints):
+        states = [estimate.joints[j].state for estimate in seen]
+        last, low, high = (states[-1], min(states), max(states)) if states else (None,) * 3
+        found = {"last_state": last, "lowest_state": low, "highest_state": high}
+        joints.append({"name": spec.name, "type": spec.type, **found})
+    counts = {status: statuses.count(status) for status in ("tracking", "coasting", "lost")}
+    summary = {"frames": len(tracked), "status": counts, "tracks": sum(one.restarted for one in tracked)}
+    summary |= {"last_status": statuses[-1] if statuses else None, "joint_states": joints}
+    return summary if truth is None else summary | {"errors": _errors(category, tracked, truth)}
+
+
+def _errors(category: Category, tracked: Sequence[TrackedEstimate], truth: Truth) -> list[dict[str, Any]]:
+    used = []
+    for one, true in zip(tracked, truth, strict=True):
+        if one.status == "tracking" and one.estimate and one.single and true is not None:
+            used.append((one.estimate.joint_states - true, one.single.joint_states - true))
+    errors = np.array(used).reshape(-1, 2, len(category.joints)).transpose(2, 1, 0)
+    joints = zip(category.joints, errors, strict=True)
+    return [{"name": j.name, "frames": len(used), "tracked": spread(a), "single": spread(b)} for j, (a, b) in joints]
+
+
+def spread(error: np.ndarray) -> dict[str, float | None]:
+    """Mean and 95th percentile of |error| (frames,), and its jitter: the standard deviation of its differences from
+    frame to frame."""
+    if len(error) < 2:
+        return {"mean": None, "p95": None, "jitter": None}
+    size, jitter = np.abs(error), np.diff(error).std()
+    return {"mean": float(size.mean()), "p95": float(np.percentile(size, 95)), "jitter": float(jitter)}

@@ -1,0 +1,1 @@
+"""The command line: a dataclass is a command's options and help."""

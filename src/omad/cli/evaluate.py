@@ -1,0 +1,216 @@
+"""``omad eval pose | keypoints | views | retrieval``: how good weights are."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, Literal
+
+from tyro.conf import OmitArgPrefixes
+
+import omad
+from omad.common.files import make_folder
+from omad.common.lazy import lazy_imports
+
+from .answer import Answer, table
+from .options import CategoryCommand, Device, Json, Models, Views, check_positive, checkpoints, load_prior
+
+with lazy_imports():
+    from numpy import ndarray
+
+    from omad.common.runtime import pick_device
+    from omad.evaluation.baselines import adam
+    from omad.evaluation.baselines.siamese import SiameseEncoder
+    from omad.evaluation.evaluate import draw_worst, evaluate, summary
+    from omad.evaluation.keypoint_spread import keypoint_spread
+    from omad.evaluation.paper import published
+    from omad.evaluation.paper.predictions import weights_identity
+    from omad.evaluation.retrieval import experiment
+    from omad.evaluation.retrieval.distances import methods
+    from omad.evaluation.retrieval.pool import Pool, describe_with_omad, describe_with_siamese
+    from omad.evaluation.retrieval.shards import described_in_shards
+    from omad.evaluation.view_agreement import compare_views
+    from omad.model.checkpoint import find_weights, is_checkpoint, load
+    from omad.model.omadnet import OmadNet
+
+
+@dataclass(frozen=True, kw_only=True)
+class EvalPose(CategoryCommand):
+    """Measure pose, joint states and joint axes on views of unseen objects, before and after refinement."""
+
+    data: OmitArgPrefixes[Views] = Views()
+    method: Literal["least_squares", "adam"] = "least_squares"
+    """How to refine; adam: the paper's own recipe, for comparison."""
+    pictures: Path | None = None
+    """Folder for pictures of the worst views."""
+
+    def run(self) -> Answer:
+        self.data.check()
+        estimator = self.estimator(**({"refine": adam.adam_refinement} if self.method == "adam" else {}))
+        if self.pictures is not None:
+            make_folder(self.pictures)
+        category = estimator.category
+        source = self.data.load(category)
+        results = evaluate(estimator, source.views, source.total)
+        answer = summary(results, category, self.data.source)
+        answer |= {"depth_noise": source.noisy, "refused": source.refused}
+        if self.pictures is not None:
+            answer["pictures"] = draw_worst(results, category, self.pictures)
+        return Answer(answer, pose_text, 1 if answer["failures"] == len(results) else 0)
+
+
+def pose_text(answer: dict[str, Any]) -> str:
+    """Errors before and after refinement, and of single objects; mean, median and 90th percentile."""
+    shares = ("within_5deg_5percent", "flipped", "swapped")
+    columns = ["joint state", "axis angle", "axis distance (units)", "base rotation", "within 5° 5 %", *shares[1:]]
+    lines = {"initial": answer["initial"], "refined": answer["refined"]}
+    if answer["objects"] <= 10:
+        lines |= {f"  {entry['object']}": entry["refined"] for entry in answer["by_object"]}
+    per_metre = 1 / answer["metres_per_unit"]
+    rows = [["", *columns]]
+    for label, errors in lines.items():
+        both = zip(errors["joint_state_error_deg"], errors["joint_state_error"], strict=True)
+        states = [_spread(angle, 1, "°") if angle else _spread(length, per_metre, " u") for angle, length in both]
+        distances = ["-" if error is None else _spread(error, per_metre, "") for error in errors["axis_distance"]]
+        axes = [_spread(error, 1, "°") for error in errors["axis_error_deg"]]
+        cells = [label, *map(", ".join, (states, axes, distances)), _spread(errors["rotation_error_deg"][0], 1, "°")]
+        rows.append(cells + [f"{errors[share]:.1%}" for share in shares])
+    seen = f"{answer['views']} views of {answer['objects']} objects"
+    head = f"{answer['category']}, {answer['source']}: {seen}, mean / median / 90th percentile"
+    seconds = {key: "-" if value is None else f"{1000 * value:.1f} ms" for key, value in answer["seconds"].items()}
+    times = ", ".join(f"{key} {seconds[key]}" for key in ("network", "refinement"))
+    refused = [f"refused {each['name']}: {each['reason']}" for each in answer["refused"]]
+    return "\n".join([head, table(rows), f"failures {answer['failures']}; per image: {times}", *refused])
+
+
+def _spread(error: dict[str, float], factor: float, unit: str) -> str:
+    digits = 1 if unit == "°" else 3
+    return " / ".join(f"{factor * error[key]:.{digits}f}{unit}" for key in ("mean", "median", "p90"))
+
+
+@dataclass(frozen=True, kw_only=True)
+class EvalKeypoints(CategoryCommand):
+    """Show that keypoints correspond: how far each one's place in its part wanders between unseen objects."""
+
+    weights: Path | None = None
+    """Prior checkpoint folder in place of the shipped one."""
+    data: OmitArgPrefixes[Models] = Models(objects=100)
+
+    def run(self) -> Answer:
+        check_positive(objects=self.data.objects)
+        net = load_prior(self.weights or find_weights(self.category) / "prior", self.device)
+        self.check_weights(net.category)
+        return Answer(asdict(keypoint_spread(net, self.data.load(net.category).models)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class EvalViews(CategoryCommand):
+    """Show that training views are like rendered ones: the error of the network's first look on both."""
+
+    data: OmitArgPrefixes[Models] = Models()
+    views: int = 1000
+    """Of each kind."""
+
+    def run(self) -> Answer:
+        check_positive(objects=self.data.objects, views=self.views)
+        folder = find_weights(self.weights or self.category)
+        net, priornet = load(OmadNet, folder).to(pick_device(self.device)), load_prior(folder / "prior", self.device)
+        self.check_weights(net.category)
+        models = self.data.load(net.category).models
+        return Answer(asdict(compare_views(net, priornet, models, self.views, self.data.seed)))
+
+
+@dataclass(frozen=True)
+class ViewsOfEach(Views):
+    """Views by the object, as retrieval counts them."""
+
+    objects: int = 50
+    """Procedural objects in all, from which galleries are drawn."""
+    views: int = 100
+    """Of each object; of a rendered folder or an ArtImage root always all."""
+
+    @property
+    def total(self) -> int:
+        return self.objects * self.views
+
+
+@dataclass(frozen=True, kw_only=True)
+class EvalRetrieval:
+    """The paper's Table 3: how well views of the same unseen object find each other, whatever pose and joint states.
+
+    OMAD (refined and initial) against the Siamese network, beside the chance level; on galleries of as many objects as
+    the paper's, on one of all objects ("large"), and with queries opened and galleries closed ("across_states")."""
+
+    category: str | None = None
+    """Only this one; default: every category with weights."""
+    data: OmitArgPrefixes[ViewsOfEach] = ViewsOfEach()
+    gallery: int | None = None
+    """Objects in a gallery; default: the paper's number for the category."""
+    draws: int = 20
+    """Galleries that the scores are averaged over."""
+    queries: int = 100
+    """Of each gallery."""
+    cache: Path = Path("omad-retrieval")
+    """Folder of signatures. Those of other weights, settings or data are refused."""
+    weights: Path | None = None
+    """Folder with a sub-folder a category in place of the shipped weights: <category>/ of OMADNet, and in it siamese/
+    of the Siamese network. Without the latter that is left out."""
+    device: Device = "cpu"
+    json: Json = False
+
+    def run(self) -> Answer:
+        self.data.check()
+        check_positive(gallery=self.gallery, draws=self.draws, queries=self.queries)
+        names = () if self.category is None else (self.category,)
+        return Answer(dict(self._category(folder) for folder in checkpoints(self.weights, names)), retrieval_text)
+
+    def _category(self, folder: Path) -> tuple[str, dict[str, Any]]:
+        """Its name, and the scores of every method."""
+        estimator = omad.Estimator.from_pretrained(folder, self.device)
+        category = estimator.category
+        pool, embeddings = self._pool(estimator, folder)
+        printed = published.TABLE3.get(category.name)
+        count = self.gallery or (printed.objects if printed else published.USUAL_OBJECTS)
+        settings = experiment.DrawSettings(self.draws, self.queries, self.data.seed)
+        openness, everything = experiment.openness(pool.states, category), len(set(pool.objects.tolist()))
+        galleries = [experiment.draw_galleries(pool.objects, size, settings) for size in (count, everything)]
+        galleries.append(experiment.draw_across_states(pool.objects, openness, count, settings))
+        answer = {}
+        for name, method in methods(pool, embeddings, estimator.net.prior, category).items():
+            usual, large, across = (experiment.evaluate_draws(draws, pool.objects, method) for draws in galleries)
+            answer[name] = usual | {"large": large, "across_states": across, "paper": getattr(printed, name, None)}
+        return category.name, answer
+
+    def _pool(self, estimator: omad.Estimator, folder: Path) -> tuple[Pool, ndarray | None]:
+        """From the cache as far as they are there; the rest is made, and put there."""
+        data, category, siamese = self.data, estimator.category, folder / "siamese"
+        cache = self.cache / category.name
+        make_folder(cache)
+        total, identity = data.load(category).total, data.identity(category)
+        made_of = identity | {"weights": weights_identity(folder), "settings": repr(estimator.config)}
+
+        def described(name: str, made_of: dict[str, str], make: Any) -> dict[str, ndarray]:
+            return described_in_shards(cache / name, made_of, total, lambda skip: data.load(category, skip).views, make)
+
+        pool = Pool(**described("omad", made_of, partial(describe_with_omad, estimator)))
+        if not is_checkpoint(siamese):
+            print(f"{category.name}: no weights in {siamese}; omad train siamese makes them", file=sys.stderr)
+            return pool, None
+        encoder = SiameseEncoder.from_folder(siamese, self.device)
+        made_of = identity | {"weights": weights_identity(siamese)}
+        return pool, described("siamese", made_of, partial(describe_with_siamese, encoder))["embeddings"]
+
+
+def retrieval_text(answer: dict[str, Any]) -> str:
+    """The paper's Table 3, per cent; the chance level beside it."""
+    rows = [["category", "method", "mAP@10", "NN", "1st tier", "2nd tier", "all objects", "across states", "paper"]]
+    for category, methods in answer.items():
+        first = methods["omad"]
+        chance = first["chance"] | {key: first[key]["chance"] for key in ("large", "across_states")}
+        for name, found in {**methods, "chance": chance}.items():
+            shares = [found[key] for key in ("map_at_10", "nearest_neighbour", "first_tier", "second_tier")]
+            shares += [found["large"]["map_at_10"], found["across_states"]["map_at_10"], found.get("paper")]
+            rows.append([category, name, *("-" if share is None else f"{100 * share:.1f}" for share in shares)])
+    return table(rows)

@@ -1,0 +1,150 @@
+"""``omad index build | query``: a catalogue of objects, which is asked what an object is by its shape."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+from tyro.conf import OmitArgPrefixes, Positional
+
+import omad
+from omad.common.errors import InputError
+from omad.common.files import write_atomic
+from omad.common.lazy import lazy_imports
+from omad.sensing.input_options import InputOptions
+
+from .answer import Answer, table
+from .options import BrokenFiles, CategoryCommand, Device, Json, Seed, Weights, check_positive, load_prior
+
+with lazy_imports():
+    from omad.applications.retrieval import catalogue
+    from omad.applications.retrieval.index import Hit
+    from omad.applications.retrieval.picture import ranking_figure
+    from omad.applications.retrieval.signature import Space, estimate_signature, fuse, prior_fingerprint
+    from omad.data.source import kind_of, load_models, load_views
+    from omad.model.checkpoint import find_weights
+    from omad.output.picture import save
+    from omad.sensing.reader import InputReader, files_in, input_files
+
+UNITS = {"keypoints": "m", "beta": "", "whitened": "std"}
+"""What a distance of each metric is in."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class IndexBuild(CategoryCommand):
+    """Build a catalogue from object models, from rendered views, or from depth images and clouds of your own."""
+
+    output: Path
+    """The index: one file, written whole or not at all."""
+    source: str = "procedural"
+    """procedural; a folder of URDF / PartNet-Mobility models; a folder that ``omad render`` made, or an ArtImage root;
+    or a folder of depth images and clouds (a sub-folder an object, or each file an object)."""
+    objects: int = 50
+    """Procedural objects (those that no training has seen)."""
+    metric: Literal["keypoints", "beta", "whitened"] = "keypoints"
+    """How shapes are compared. keypoints: mean distance between canonical keypoints, in metres; beta: plain Euclidean
+    distance of the shape parameters, as in the paper; whitened: in standard deviations of them."""
+    fuse: bool = True
+    """One entry an object, from all of its views together; --no-fuse: an entry a view."""
+    backend: Literal["exact", "faiss"] = "exact"
+    """exact: compares all entries, fast up to a million; faiss: nearly exact, for many millions (an extra)."""
+    reading: OmitArgPrefixes[InputOptions] = InputOptions()
+    broken: BrokenFiles = "refuse"
+    seed: Seed = 0
+
+    def run(self) -> Answer:
+        check_positive(objects=self.objects, depth_scale=self.reading.depth_scale)
+        estimator = self.estimator()
+        index = omad.ShapeIndex(Space.of(estimator.net.prior, estimator.category, self.metric), self.backend)
+        found = self._catalogued(estimator)
+        if not found.entries:
+            raise InputError(f"{self.source}: none of its {len(found.refused)} inputs can be used; see omad estimate")
+        index.add(found.signatures, found.entries)
+        index.save(self.output)
+        names = {entry.name for entry in index.entries}
+        record = {"index": str(self.output), "category": index.space.category, "metric": self.metric}
+        record |= {"backend": self.backend, "entries": len(index), "objects": len(names), "refused": found.refused}
+        return Answer(record)
+
+    def _catalogued(self, estimator: omad.Estimator) -> catalogue.Catalogued:
+        folder, category, own = Path(self.source), estimator.category, self.source != "procedural"
+        refused: list[dict[str, str]] = []
+        if kind_of(self.source).images is not None:
+            views = load_views(self.source, category, 1, 1, self.seed, False, self.broken)
+            seen, refused = catalogue.seen_views(views.views, views.total, self.source, views.refused), views.refused
+        elif own and not next(folder.rglob("*.urdf"), None) and (files := files_in(folder, "**/[!.]*")):
+            seen = self._read(folder, files, refused)
+        else:  # models, whose meshes look like clouds
+            net = load_prior(find_weights(self.weights or self.category) / "prior", self.device)
+            models = load_models(self.source, category, self.objects, "test", self.seed)
+            return replace(catalogue.from_models(net, models.models, self.source), refused=models.refused)
+        return replace(catalogue.from_observations(estimator, seen, self.fuse), refused=refused)
+
+    def _read(self, folder: Path, files: list[Path], refused: list[dict[str, str]]) -> Iterator[catalogue.Seen]:
+        reader = InputReader.of(self.reading, files)
+        for file in files:
+            try:
+                yield catalogue.Seen(catalogue.object_of(file, folder), str(file), reader(file))
+            except InputError as error:
+                refused.append({"name": str(file), "reason": str(error)})
+
+
+@dataclass(frozen=True, kw_only=True)
+class IndexQuery:
+    """Ask a catalogue which object this is: one depth image or cloud, or several of the same object."""
+
+    inputs: Positional[tuple[Path, ...]]
+    """Depth images or clouds; several are taken for views of one object, and count together."""
+    index: Path
+    """What ``omad index build`` wrote."""
+    count: int = 5
+    """Objects to name."""
+    by_information: bool = False
+    """Weigh every direction of shape by how surely these views show it."""
+    reading: OmitArgPrefixes[InputOptions] = InputOptions()
+    output: Path = Path("omad-query")
+    """Folder for the ranking as a picture, and the thumbnails."""
+    weights: Weights = None
+    device: Device = "cpu"
+    json: Json = False
+
+    def run(self) -> Answer:
+        check_positive(count=self.count, depth_scale=self.reading.depth_scale)
+        index, files = omad.ShapeIndex.load(self.index), input_files(self.inputs)
+        reader = InputReader.of(self.reading, files)
+        estimator = omad.Estimator.from_pretrained(self.weights or index.space.category, self.device)
+        prior = prior_fingerprint(estimator.net.prior, estimator.category)
+        if prior != index.space.prior:
+            cure = "give --weights the folder that made it, or build the index anew"
+            said = f"made with prior {index.space.prior}, these weights have prior {prior}"
+            raise InputError(f"{self.index}: {said}; {cure}")
+        observations = [*map(reader, files)]
+        estimates = estimator(observations)
+        signature = fuse([estimate_signature(estimate, prior) for estimate in estimates])
+        hits = index.search_objects(signature, self.count, self.by_information)
+        unit = "std" if self.by_information else UNITS[index.space.metric]
+        picture = self.output / "ranking.png"
+        save(ranking_figure(observations, hits, unit), picture)
+        ranking = [self._ranked(hit, self.output / f"{number:02d}.png") for number, hit in enumerate(hits, 1)]
+        warnings = sorted({warning for estimate in estimates for warning in estimate.warnings})
+        record = {"inputs": [*map(str, files)], "index": str(self.index), "category": index.space.category}
+        record |= {"unit": unit, "ranking": ranking, "picture": str(picture), "warnings": warnings}
+        return Answer(record, ranking_text)
+
+    def _ranked(self, hit: Hit, path: Path) -> dict[str, Any]:
+        """An object's line in the ranking; its thumbnail is written."""
+        entry = hit.entry
+        if entry.thumbnail:
+            write_atomic(path, lambda temporary: temporary.write_bytes(entry.thumbnail))
+        found = {"object": entry.name, "distance": hit.distance, "source": entry.source}
+        return found | {"thumbnail": str(path) if entry.thumbnail else None}
+
+
+def ranking_text(answer: dict[str, Any]) -> str:
+    """What was found, a line an object."""
+    rows = [["", "object", "distance", "source"]]
+    for number, found in enumerate(answer["ranking"], 1):
+        rows.append([str(number), found["object"], f"{found['distance']:.4g} {answer['unit']}", found["source"]])
+    return "\n".join([table(rows), f"picture: {answer['picture']}", *answer["warnings"]])

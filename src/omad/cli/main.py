@@ -1,0 +1,103 @@
+"""``omad``: parse the command line, run the command, print for a person or for a program."""
+
+import io
+import os
+import sys
+from dataclasses import dataclass
+from typing import Annotated, Any, Union
+
+# two threads that spin while they wait starve each other where cores are shared; must be set before torch loads
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+os.environ.setdefault("GOMP_SPINCOUNT", "0")
+
+import tyro
+
+from omad import __version__
+from omad.common.errors import InputError, WorkError
+from omad.common.files import one_line
+
+from .answer import as_json
+from .estimate import EstimateCommand
+from .evaluate import EvalKeypoints, EvalPose, EvalRetrieval, EvalViews
+from .explore import Explore
+from .figures import FigureKeypoints, FigureOcclusion, FigureQualitative, FigureSweep, FigureTsne
+from .index import IndexBuild, IndexQuery
+from .models import Generate, Import, Render
+from .paper import EvalAblation, EvalTable1, EvalTable2
+from .shipped import Demo, Export, Info
+from .track import Track
+from .train import TrainAncsh, TrainNet, TrainPrior, TrainSiamese
+
+ABOUT = (
+    "Shape, pose, joint states and joint axes of unseen articulated objects from one depth view."
+    " Exit codes: 0 done, 1 the work itself failed, 2 bad input or usage. omad --version prints the version."
+)
+
+
+@dataclass(frozen=True)
+class Group:
+    """Commands of one name and another name each, as ``omad train net``."""
+
+    about: str
+    commands: dict[str, Any]
+
+
+_TRAIN = {"prior": TrainPrior, "net": TrainNet, "ancsh": TrainAncsh, "siamese": TrainSiamese}
+_EVAL = {"pose": EvalPose, "keypoints": EvalKeypoints, "views": EvalViews, "table1": EvalTable1, "table2": EvalTable2}
+_EVAL |= {"ablation": EvalAblation, "retrieval": EvalRetrieval}
+_FIGURE = {"qualitative": FigureQualitative, "keypoints": FigureKeypoints, "sweep": FigureSweep}
+_FIGURE |= {"occlusion": FigureOcclusion, "tsne": FigureTsne}
+_INDEX = {"build": IndexBuild, "query": IndexQuery}
+COMMANDS: dict[str, Any] = {"demo": Demo, "estimate": EstimateCommand, "track": Track, "explore": Explore}
+COMMANDS |= {"generate": Generate, "import": Import, "render": Render}
+COMMANDS["train"] = Group("Train a category: first its prior, then its network; or the baselines.", _TRAIN)
+COMMANDS["eval"] = Group("Measure accuracy on objects with known truth.", _EVAL)
+COMMANDS["figure"] = Group("Draw figures from weights: results, keypoints, sweeps, occlusion, t-SNE.", _FIGURE)
+COMMANDS["index"] = Group("Which object is this: a catalogue of objects that is asked with a view.", _INDEX)
+COMMANDS |= {"export": Export, "info": Info}
+
+
+def main() -> None:
+    """Entry point. Exit codes: 0 done, 1 the work itself failed, 2 bad input or usage."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")  # a terminal without a degree sign is no reason to fail
+    try:
+        code = run(sys.argv[1:])
+        sys.stdout.flush()
+    except BrokenPipeError:  # the reader has seen enough (`omad info | head -1`)
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        code = 0
+    sys.exit(code)
+
+
+def parse(arguments: list[str]) -> Any:
+    """The command that a command line means; raises SystemExit where it means none, or asks for help."""
+    return tyro.cli(_one_of(COMMANDS), args=arguments, prog="omad", description=ABOUT)
+
+
+def run(arguments: list[str]) -> int:
+    """Run one command line and return its exit code."""
+    if arguments == ["--version"]:
+        print(__version__)
+        return 0
+    command = parse(arguments)
+    try:
+        answer = command.run()
+    except (InputError, WorkError) as error:
+        print(f"omad: {one_line(error)}", file=sys.stderr)
+        return 2 if isinstance(error, InputError) else 1
+    except KeyboardInterrupt:
+        print("omad: interrupted; a rendering or training goes on where it was when run again", file=sys.stderr)
+        return 130
+    print(as_json(answer.record) if command.json else answer.text(answer.record))
+    return answer.code
+
+
+def _one_of(commands: dict[str, Any]) -> Any:
+    """The type that tyro takes for a choice of these."""
+    choices = []
+    for name, command in commands.items():
+        kind, about = (_one_of(command.commands), command.about) if isinstance(command, Group) else (command, None)
+        choices.append(Annotated[kind, tyro.conf.subcommand(name, description=about)])
+    return Union[tuple(choices)]  # noqa: UP007 (their number is not known here)

@@ -1,0 +1,126 @@
+"""The commands that make object models and views of them: ``omad generate``, ``omad import``, ``omad render``."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import tyro
+
+import omad
+from omad.common.errors import InputError
+from omad.common.lazy import lazy_imports
+
+from .answer import Answer
+from .options import CategoryName, Json, Seed, check_positive
+
+with lazy_imports():
+    from omad.data.artimage import write_artimage
+    from omad.data.procedural import generate
+    from omad.data.rendering import depth_noise
+    from omad.data.rendering.view_folder import render_to_folder
+    from omad.data.source import load_models
+    from omad.data.urdf_import.importing import import_folder
+    from omad.objects.urdf import write_urdf
+    from omad.output.contact_sheet import contact_sheet
+    from omad.output.picture import save
+
+
+@dataclass(frozen=True, kw_only=True)
+class Generate:
+    """Write procedural objects as URDF."""
+
+    category: CategoryName
+    output: Path
+    """Folder for a sub-folder an object, each with its URDF and meshes."""
+    objects: int = 10
+    """How many."""
+    split: Literal["train", "test"] = "train"
+    """test: objects that no training has seen."""
+    seed: Seed = 0
+    json: Json = False
+
+    def run(self) -> Answer:
+        check_positive(objects=self.objects)
+        category, files = omad.get_category(self.category), []
+        for index in range(self.objects):
+            model = generate(category, index, self.split, self.seed)
+            files.append(str(self.output / model.name / f"{model.name}.urdf"))
+            write_urdf(model, files[-1])
+        return Answer({"category": category.name, "files": files})
+
+
+@dataclass(frozen=True, kw_only=True)
+class Import:
+    """Turn a folder of URDF or PartNet-Mobility models into canonical ones, which --source takes; resumes where it
+    stopped. Prints what was refused and why, and draws the others for a look at how they stand."""
+
+    source: tyro.conf.Positional[Path]
+    """Folder of models: .urdf files, or a sub-folder for each."""
+    category: CategoryName
+    output: Path
+    """Folder for a sub-folder an object, the summary and the picture."""
+    scale: float | None = None
+    """Metres per unit of the files; default: the category's for PartNet-Mobility, 1 for others."""
+    missing_meshes: Literal["refuse", "skip"] = "refuse"
+    """Of models whose mesh files are not all there: refuse the model, or use what is there."""
+    json: Json = False
+
+    def run(self) -> Answer:
+        check_positive(scale=self.scale)
+        category = omad.get_category(self.category)
+        found = import_folder(self.source, category, self.output, self.scale, self.missing_meshes)
+        if not found.models and len(found.refused) == 1:
+            raise InputError(f"{self.source}: no usable model in it: {found.refused[0].reason}")
+        picture = self.output / "models.png"
+        if found.models:
+            save(contact_sheet(found.models), picture)
+        record = {"folder": str(self.output), "category": category.name}
+        record |= {"models": len(found.models) + len(found.refused), **found.to_dict()}
+        record["picture"] = str(picture) if found.models else None
+        return Answer(record, import_text, 0 if found.models else 2)
+
+
+def import_text(answer: dict[str, Any]) -> str:
+    """What became of a folder of models."""
+    lines = [f"{answer['category']}: {len(answer['used'])} of {answer['models']} models -> {answer['folder']}"]
+    lines += [f"{count} refused: {reason}" for reason, count in answer["reasons"].items()]
+    lines += [f"  {refusal['name']}: {refusal['reason']}" for refusal in answer["refused"]]
+    lines += [f"note on {note['name']}: {note['reason']}" for note in answer["notes"]]
+    lines += [f"see whether they stand alike: {answer['picture']}"] if answer["picture"] else []
+    return "\n".join(lines)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Render:
+    """Render standard views (depth, part labels, truth) of object models into a folder; resumes where it stopped."""
+
+    category: CategoryName
+    output: Path
+    """Folder for the views; the same command goes on in it, another one is refused."""
+    source: str = "procedural"
+    """procedural, or a folder of URDF / PartNet-Mobility models."""
+    objects: int = 20
+    """Procedural objects."""
+    split: Literal["train", "test"] = "test"
+    """Of the procedural objects; layout artimage: of all whose name is no number, as those are split by it."""
+    layout: Literal["omad", "artimage"] = "omad"
+    """artimage: as the ArtImage data set is laid out; another run adds another split or category to the same folder."""
+    views: int = 200
+    """In total, dealt out to the objects."""
+    seed: Seed = 0
+    noise: Literal["off", "half", "on", "double"] = "off"
+    """Camera noise."""
+    processes: int = 1
+    """That render at a time; the views are the same for any number."""
+    json: Json = False
+
+    def run(self) -> Answer:
+        check_positive(objects=self.objects, views=self.views, processes=self.processes)
+        category = omad.get_category(self.category)
+        source = load_models(self.source, category, self.objects, self.split, self.seed)
+        noise, drawn = depth_noise.LEVELS[self.noise], (source.models, category, self.output, self.views)
+        if self.layout == "artimage":
+            write_artimage(*drawn, self.split, self.seed, noise, self.processes, progress=True)
+        else:
+            render_to_folder(*drawn, self.seed, noise, self.processes, progress=True)
+        return Answer({"folder": str(self.output), "views": self.views, "refused": source.refused})

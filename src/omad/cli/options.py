@@ -1,0 +1,187 @@
+"""Options that many commands share."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tyro
+
+import omad
+from omad.common.errors import InputError
+from omad.common.lazy import lazy_imports
+from omad.objects.builtin import builtin_names
+
+with lazy_imports():
+    from torch import set_num_threads
+
+    from omad.common.runtime import keep_freed_memory, pick_device
+    from omad.data.source import ModelSource, ViewSource, load_models, load_views
+    from omad.evaluation.paper.predictions import data_identity
+    from omad.model import checkpoint
+    from omad.model.priornet import PriorNet
+    from omad.objects.category import Category
+    from omad.objects.category_file import is_spec_file, read_spec
+
+BUILT_IN = ", ".join(builtin_names())
+"""Categories by name."""
+OWN = "or your own: a spec file (.toml, .json), or the name in --weights."
+CategoryName = Annotated[str, tyro.conf.arg(help=f"{BUILT_IN}; {OWN}")]
+Seed = Annotated[int, tyro.conf.arg(help="Another seed, other random choices.")]
+Json = Annotated[bool, tyro.conf.arg(help="Print one JSON object on stdout and nothing else there.")]
+Device = Annotated[str, tyro.conf.arg(help="cpu, cuda, or auto: CUDA where there is one.")]
+Weights = Annotated[Path | None, tyro.conf.arg(help="Checkpoint folder in place of the shipped weights.")]
+_BROKEN = "Broken files of an ArtImage root: refuse the root, or skip what they belong to and list it."
+BrokenFiles = Annotated[Literal["refuse", "skip"], tyro.conf.arg(help=_BROKEN)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class CategoryCommand:
+    """A command that works with the weights of one category."""
+
+    category: CategoryName
+    weights: Weights = None
+    device: Device = "cpu"
+    json: Json = False
+
+    def estimator(self, **settings: Any) -> omad.Estimator:
+        """That of the category. Raises InputError where --weights is of another one."""
+        estimator = omad.Estimator.from_pretrained(self.weights or self.category, self.device, **settings)
+        self.check_weights(estimator.category)
+        return estimator
+
+    def check_weights(self, found: Category) -> None:
+        """Raises InputError where --weights is of another category than asked for."""
+        check_category("--weights", self.weights, found, self.category)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CategoriesCommand:
+    """A command that works with the weights of several categories."""
+
+    categories: tuple[str, ...] = ()
+    """Default: all with weights."""
+    weights: Path | None = None
+    """Folder with a sub-folder a category in place of the shipped weights, or the checkpoint of one category. In a
+    checkpoint lie prior/, and of the baselines ancsh/ and siamese/: what is not there is left out."""
+    device: Device = "cpu"
+    json: Json = False
+
+    def estimators(self) -> Iterator[tuple[Path, omad.Estimator]]:
+        """Folders of checkpoints, one a category, with what is made of them. Raises InputError where there is none."""
+        for folder in checkpoints(self.weights, self.categories):
+            yield folder, omad.Estimator.from_pretrained(folder, self.device)
+
+
+@dataclass(frozen=True)
+class Models:
+    """The object models to measure on."""
+
+    source: str = "procedural"
+    """procedural, or a folder of URDF / PartNet-Mobility models."""
+    objects: int = 20
+    """Procedural objects a category."""
+    seed: Seed = 0
+
+    def load(self, category: Category) -> ModelSource:
+        """Models that no training has seen."""
+        return load_models(self.source, category, self.objects, "test", self.seed)
+
+
+@dataclass(frozen=True)
+class Views:
+    """The views to measure on."""
+
+    source: str = "procedural"
+    """procedural, a folder of URDF / PartNet-Mobility models, an ArtImage root (its test split), or a folder that
+    ``omad render`` made."""
+    objects: int = 20
+    """Procedural objects a category."""
+    views: int = 200
+    """A category, dealt out to the objects; ``omad eval`` takes all of a rendered folder or an ArtImage root."""
+    seed: Seed = 0
+    depth_noise: bool = False
+    """Simulate the depth camera's noise; a rendered folder has its own."""
+    broken: BrokenFiles = "refuse"
+
+    @property
+    def total(self) -> int:
+        """Views that are drawn of object models."""
+        return self.views
+
+    def check(self) -> None:
+        check_positive(objects=self.objects, views=self.views)
+
+    def load(self, category: Category, skip: int = 0) -> ViewSource:
+        """To measure on; without the first ``skip``."""
+        drawn = (self.objects, self.total, self.seed, self.depth_noise)
+        return load_views(self.source, category, *drawn, self.broken, skip)
+
+    def spread(self, category: Category) -> ViewSource:
+        """So many views, evenly over all that the source has."""
+        return self.load(category).spread(self.views)
+
+    def identity(self, category: Category) -> dict[str, str]:
+        """Tells these views from others."""
+        settings = {"objects": self.objects, "views": self.views, "seed": self.seed, "noise": self.depth_noise}
+        first = list(islice(self.load(category).views, 3))
+        return {"data": data_identity(first, self.source, settings), "version": omad.__version__}
+
+
+def checkpoints(weights: Path | None, names: Sequence[str] = ()) -> list[Path]:
+    """Folders of the checkpoints in ``weights``, or of the shipped ones: one a category, of those named or of all. What
+    is itself a checkpoint stands alone. Raises InputError where there is none."""
+    folder = weights or checkpoint.WEIGHTS
+    if checkpoint.is_checkpoint(folder):
+        return [folder]
+    names = names or sorted(path.parent.name for path in folder.glob("*/config.json"))
+    if not names:
+        raise InputError(f"{folder}: no <category>/config.json in it; give a folder with one checkpoint a category")
+    for name in names:
+        if not checkpoint.is_checkpoint(folder / name):
+            raise InputError(f"{name}: no weights in {folder / name}; see omad info, or give --weights")
+    return [folder / name for name in names]
+
+
+def load_prior(folder: Path, device: str) -> PriorNet:
+    """The prior's network of a checkpoint ``folder`` of its own. Raises InputError."""
+    return checkpoint.load(PriorNet, folder).to(pick_device(device))
+
+
+def check_positive(**options: float | None) -> None:
+    """Raises InputError for an option that is not above zero; None is an option that was not given."""
+    for name, value in options.items():
+        if value is not None and not 0 < value < math.inf:
+            need = "at least 1" if isinstance(value, int) else "a number above 0"
+            raise InputError(f"--{name.replace('_', '-')} {value}: must be {need}")
+
+
+def check_category(option: str, folder: Path | None, found: Category, wanted: str) -> None:
+    """Raises InputError where the checkpoint ``folder`` given with ``option`` is of another category than wanted: of
+    another name, or trained with a spec file whose parts and joints were others."""
+    spec = read_spec(wanted) if is_spec_file(wanted) else None
+    name = spec.name if spec else wanted
+    if found.name != name:
+        raise InputError(f"{option} {folder}: is for {found.name}, not for {name}; change it or --category")
+    if spec and _learned(spec) != _learned(found):
+        raise InputError(f"{wanted}: parts or joints changed since {option} {folder} was trained; train it anew")
+
+
+def _learned(category: Category) -> tuple[Any, ...]:
+    """What a checkpoint cannot do without: where this changes, its numbers mean something else."""
+    parts = [(part.name, part.keypoints, part.mirror) for part in category.parts]
+    joints = [(joint.type, joint.parent, joint.axis, joint.rest, joint.pitch) for joint in category.joints]
+    return category.metres_per_unit, category.basis_size, parts, joints
+
+
+def use_threads(threads: int) -> None:
+    """Make the process one that trains on so many CPU threads; 0: PyTorch's choice. Raises InputError."""
+    if threads < 0:
+        raise InputError(f"--threads {threads}: must be at least 1, or 0 for PyTorch's choice")
+    keep_freed_memory()
+    if threads:
+        set_num_threads(threads)

@@ -1,0 +1,101 @@
+"""The commands about what is shipped: ``omad demo``, ``omad export``, ``omad info``."""
+
+import platform
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import omad
+from omad.common.files import write_atomic
+from omad.common.lazy import lazy_imports
+from omad.objects.builtin import builtin_names
+
+from .answer import Answer, state, state_and_std, table
+from .options import CategoryName, Device, Json, Seed, Weights, check_category, check_positive
+
+with lazy_imports():
+    from numpy import savez
+
+    from omad.common.runtime import pick_device
+    from omad.evaluation.demo import run_demo
+    from omad.model.checkpoint import find_weights, load, save, shipped_categories
+    from omad.model.omadnet import OmadNet
+
+
+@dataclass(frozen=True, kw_only=True)
+class Demo:
+    """Recover unseen procedural objects from one depth image each; print estimate against truth and draw it."""
+
+    category: str | None = None
+    """Only this one; default: every category with weights."""
+    output: Path = Path("omad-demo")
+    """Folder for the pictures and URDFs."""
+    objects: int = 2
+    """Objects a category."""
+    seed: Seed = 0
+    weights: Weights = None
+    device: Device = "cpu"
+    json: Json = False
+
+    def run(self) -> Answer:
+        check_positive(objects=self.objects)
+        one = self.weights or self.category
+        names = [one] if one else shipped_categories()
+        estimators = [omad.Estimator.from_pretrained(name, self.device) for name in names]
+        if self.category is not None:
+            check_category("--weights", self.weights, estimators[0].category, self.category)
+        return Answer(run_demo(estimators, self.output, self.objects, self.seed), demo_text)
+
+
+def demo_text(answer: dict[str, Any]) -> str:
+    """Estimate against truth, a line a joint."""
+    rows = [["object", "joint", "estimate", "truth", "axis error", "axis distance", "base rotation error"]]
+    for result in answer["results"]:
+        errors = result["errors"]
+        for j, joint in enumerate(result["estimate"]["joints"]):
+            truth, distance = result["truth"]["joint_states"][j], errors["axis_distance"][j]
+            apart = "-" if distance is None else f"{1000 * distance:.0f} mm"
+            row = [result["object"], joint["name"], state_and_std(joint), state(joint, truth)]
+            rows.append([*row, f"{errors['axis_deg'][j]:.1f}°", apart, f"{errors['rotation_deg'][0]:.1f}°"])
+    return "\n".join([table(rows), "", "pictures:", *(file for file in answer["files"] if file.endswith(".png"))])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Export:
+    """Write a checkpoint folder that is complete alone (network, prior, category spec), for other programs."""
+
+    category: CategoryName
+    output: Path
+    """Folder for the checkpoint; --weights takes it."""
+    weights: Weights = None
+    json: Json = False
+
+    def run(self) -> Answer:
+        source = find_weights(self.weights or self.category)
+        net = load(OmadNet, source)
+        check_category("--weights", self.weights, net.category, self.category)
+        save(net, self.output, {"exported_from": source.name})
+        prior = net.prior
+        arrays = {name: getattr(prior, name) for name in ("basis", "beta_mean", "beta_covariance")}
+        for layer in ("joint_hidden", "joint_out"):
+            arrays |= {f"{layer}_{name}": tensor for name, tensor in getattr(prior, layer).named_parameters()}
+        arrays |= {"nominal_axes": prior.nominal_axes, "part_of": prior.part_of}
+        plain = {name: tensor.detach().numpy() for name, tensor in arrays.items()}
+        write_atomic(self.output / "prior.npz", lambda path: savez(path, allow_pickle=False, **plain))
+        return Answer({"folder": str(self.output), "files": ["config.json", "model.safetensors", "prior.npz"]})
+
+
+@dataclass(frozen=True, kw_only=True)
+class Info:
+    """Version, categories, weights found and where, device."""
+
+    json: Json = False
+
+    def run(self) -> Answer:
+        import numpy as np
+        import torch
+
+        weights = {name: str(find_weights(name)) for name in shipped_categories()}
+        record = {"version": omad.__version__, "categories": list(builtin_names()), "weights": weights}
+        record |= {"device": str(pick_device("auto")), "torch": torch.__version__, "numpy": np.__version__}
+        return Answer(record | {"python": platform.python_version()})

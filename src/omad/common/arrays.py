@@ -1,0 +1,45 @@
+"""NumPy arrays: of whatever a caller has, and kept on disk with a record of what they were made of."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from torch import Tensor
+
+from .errors import InputError
+from .files import write_atomic
+
+Identity = dict[str, str]
+
+
+def as_numpy(values: Any) -> np.ndarray:
+    """NumPy array of anything array-like; a tensor may be on any device and have a gradient."""
+    return values.detach().cpu().numpy() if isinstance(values, Tensor) else np.asarray(values)
+
+
+def as_doubles(tensor: Tensor) -> np.ndarray:
+    """Contiguous float64 array, as compiled loops want it."""
+    return np.ascontiguousarray(as_numpy(tensor), dtype=np.float64)
+
+
+def save_arrays(path: Path, identity: Identity, **arrays: np.ndarray) -> None:
+    """Write a ``.npz``, whole or not at all, with a record of what it was made of."""
+    record = json.dumps(identity)
+    write_atomic(path, lambda file: np.savez_compressed(file, allow_pickle=False, identity=record, **arrays))
+
+
+def load_arrays(path: Path, identity: Identity) -> dict[str, np.ndarray] | None:
+    """What ``save_arrays`` wrote; None where there is no such file. Raises InputError for another identity."""
+    if not path.is_file():
+        return None
+    try:
+        with np.load(path) as file:
+            arrays = dict(file)
+        found = json.loads(str(arrays.pop("identity")))
+    except Exception as error:  # a damaged archive raises anything
+        raise InputError(f"{path}: not a cache of predictions; delete it, or give another --cache") from error
+    for name, value in identity.items():
+        if found.get(name) != value:
+            raise InputError(f"{path}: made with other {name}; delete it, or give another --cache")
+    return arrays

@@ -1,0 +1,189 @@
+"""Random dishwashers: built-in, free-standing and table-top, hollow or solid, with all kinds of doors and handles."""
+
+from itertools import pairwise
+
+import numpy as np
+
+from omad.geometry.mesh import Mesh, merge_meshes
+from omad.objects.category import Category
+
+from .shapes import JointedParts, box, column, cylinder, frame, points, posts, sides, slab, tube
+
+
+def generate(rng: np.random.Generator, category: Category) -> JointedParts:
+    """One dishwasher, door closed. Body on y = 0 .. height, its front plane at z = 0, the room at +z."""
+    compact = rng.random() < 0.12
+    width = rng.uniform(0.42, 0.7)
+    depth = rng.uniform(0.42, 0.75)
+    height = rng.uniform(0.42, 0.58) if compact else float(np.clip(rng.normal(0.78, 0.12), 0.55, 1.0))
+    wall = rng.choice([rng.uniform(0.002, 0.01), rng.uniform(0.008, 0.05)])
+
+    kick = height * rng.uniform(0.04, 0.18) if rng.random() < 0.65 else height * rng.uniform(0.0, 0.03)
+    strip = height * rng.uniform(0.08, 0.2) if rng.random() < 0.4 else height * rng.uniform(0.0, 0.05)
+    door_low, door_high = kick, height - strip
+    inset = rng.random() < 0.3  # door between the walls, else in front of them
+    margin = wall * rng.uniform(0.3, 1.0) if inset else width * rng.choice([0.0, rng.uniform(0.0, 0.03)])
+    door_half = width / 2 - margin
+    thickness = rng.uniform(0.015, 0.09)
+    recess = thickness * rng.uniform(0.4, 1.1) if inset else 0.0
+    back, front = -recess, thickness - recess
+
+    body = _cabinet(rng, width, height, depth, wall, recess, door_low, door_high)
+    body += _front_strips(rng, width, height, door_low, door_high, front)
+    body += _top_and_feet(rng, width, height, depth, front)
+    hollow = rng.random() < 0.12
+    door = _door(rng, door_half, door_low, door_high, back, front, hollow)
+    if rng.random() < 0.7:
+        door += _handle(rng, door_half, door_low, door_high, front)
+    if rng.random() < 0.45:
+        door += _controls(rng, door_half, door_low, door_high, front)
+    if not hollow and rng.random() < 0.6:
+        door += _inner_panel(rng, door_half, door_low, door_high, back, door_half - width / 2 + wall)
+
+    pivot_y = door_low + rng.choice([0.0, rng.uniform(-0.01, 0.045)])
+    pivot_z = back + rng.uniform(0.0, 0.6) * thickness
+    return JointedParts((merge_meshes(body), merge_meshes(door)), np.array([[0.0, pivot_y, pivot_z]]))
+
+
+def _cabinet(rng, width, height, depth, wall, recess, door_low, door_high) -> list[Mesh]:
+    """Walls around an open tub with racks, or a solid block with or without a shallow mouth."""
+    x, inner, z0 = width / 2, width / 2 - wall, -depth
+    if rng.random() < 0.2:
+        return [box((-x, 0, z0), (x, height, -recess - 1e-3))]
+    floor = max(door_low - wall * rng.uniform(0.0, 2.0), 0.01)
+    ceiling = min(door_high + wall * rng.uniform(-1.0, 2.0), height - 0.008)
+    rear = z0 + wall * rng.uniform(1.0, 3.0)
+    if rng.random() < 0.2:
+        rear = -depth * rng.uniform(0.3, 0.9)  # a shallow tub: machinery behind
+    elif rng.random() < 0.08:
+        rear = z0  # no back: models of built-in machines often are open there
+    solids = [
+        *sides((-x, 0, z0), (x, height, 0.0), wall),
+        box((-inner, ceiling, rear), (inner, height, -recess * (ceiling < door_high) - 1e-3)),
+        box((-inner, 0, rear), (inner, floor, -recess * (floor > door_low) - 1e-3)),
+    ]
+    if rear == z0:
+        return solids
+    solids.append(box((-inner, 0, z0), (inner, height, rear)))
+    for level in sorted(rng.uniform(0.08, 0.8, int(rng.integers(0, 4)))):
+        solids += _rack(rng, inner - 0.02, floor + level * (ceiling - floor), ceiling, rear + 0.02, -recess - 0.03)
+    return solids
+
+
+def _rack(rng, x: float, y: float, ceiling: float, z0: float, z1: float) -> list[Mesh]:
+    """A dish rack at height ``y``: a shelf of bars or a tray, sometimes with a rail around three sides."""
+    bar = rng.uniform(0.002, 0.006)
+    if 2 * x < 0.1 or z1 - z0 < 0.1:
+        return []
+
+    def rod(xa: float, xb: float, y: float, za: float, zb: float) -> Mesh:
+        return box((xa, y - bar, za), (xb, y + bar, zb))
+
+    if rng.random() < 0.4:
+        solids = [rod(-x, x, y, z0, z1)]
+    else:
+        solids = [rod(a - bar, a + bar, y, z0, z1) for a in np.linspace(-x, x, int(rng.integers(5, 12)))]
+        solids += [rod(-x, x, y, z - bar, z + bar) for z in np.linspace(z0, z1, int(rng.integers(3, 7)))]
+    if rng.random() < 0.6 and (rise := min(rng.uniform(0.03, 0.1), ceiling - y - 0.01)) > 0.01:
+        for xa, xb, za in ((-x, -x, z0), (x, x, z0), (-x, x, z1)):
+            solids += [rod(xa - bar, xb + bar, y + h, za - bar, z1 + bar) for h in (0.5 * rise, rise)]
+    return solids
+
+
+def _front_strips(rng, width, height, door_low, door_high, front) -> list[Mesh]:
+    """What closes the front above and below the door: control strip and kick plate."""
+    solids = []
+    x = width / 2 * rng.uniform(0.94, 1.0)
+    if height - door_high > 0.03:
+        reach, y = max(front * rng.uniform(0.3, 1.1), 0.004), (door_high + height) / 2
+        solids.append(slab((-x, door_high + 0.003, -0.01), (x, height, reach), 2, 0.004))
+        if rng.random() < 0.5:
+            for s in rng.uniform(-0.8, 0.8, int(rng.integers(1, 6))):
+                r = rng.uniform(0.006, 0.018)
+                solids.append(cylinder((s * x, y, 0), (s * x, y, reach + rng.uniform(0.002, 0.02)), r))
+    if door_low > 0.02 and rng.random() < 0.8:
+        set_back = rng.uniform(0.0, 0.08) if rng.random() < 0.6 else -max(front, 0.003) * rng.uniform(0.2, 1.0)
+        solids.append(box((-x, 0, -set_back - 0.02), (x, door_low - 0.003, -set_back)))
+    return solids
+
+
+def _top_and_feet(rng, width, height, depth, front) -> list[Mesh]:
+    """A worktop that may stand over the front, feet."""
+    solids = []
+    if rng.random() < 0.4:
+        over = max(front, 0.0) * rng.uniform(0.2, 1.3)
+        x = width / 2 + rng.uniform(0.0, 0.015)
+        high = x, height + rng.uniform(0.008, 0.05), over
+        solids.append(slab((-x, height, -depth), high, 1, rng.uniform(0.0, 0.02)))
+    if rng.random() < 0.35:
+        drop, r = rng.uniform(0.01, 0.06), rng.uniform(0.01, 0.03)
+        places = [(x * width, z * depth) for x in (-0.42, 0.42) for z in (-0.08, -0.92)]
+        solids += [cylinder((x, -drop, z), (x, 0.02, z), r) for x, z in places]
+    return solids
+
+
+def _door(rng, half, low, high, back, front, hollow: bool) -> list[Mesh]:
+    """The door's slab: bevelled, rounded, sometimes bowed towards the room."""
+    radius, bevel = rng.uniform(0.0, 0.02), rng.uniform(0.0, 0.4) * (front - back)
+    skin, rims = back, []
+    if hollow:  # a skin with rims towards the tub
+        skin = front - (front - back) * rng.uniform(0.1, 0.5)
+        rim = rng.uniform(0.003, 0.04)
+        rims = frame((-half, low, back), (half, high, skin), rim, rim)
+        radius = min(radius, rim)
+    leaf = slab((-half, low, skin), (half, high, front), 2, radius, bevel if rng.random() < 0.5 else 0.0)
+    bow: list[Mesh] = []
+    if rng.random() < 0.2:
+        x = np.linspace(-half, half, 9)
+        line = pairwise(zip(x, front + rng.uniform(0.01, 0.05) * (1 - (x / half) ** 2), strict=True))
+        bow = [column(x0, x1, 0.5 * (front + skin), z0, z1, low, high) for (x0, z0), (x1, z1) in line]
+    return [leaf, *rims, *bow]
+
+
+def _handle(rng, half, low, high, front) -> list[Mesh]:
+    """Bar on two posts, round or flat; a ledge; a knob; a raised frame around a pocket."""
+    y = high - (high - low) * rng.uniform(0.04, 0.22)
+    reach, grip = rng.uniform(0.02, 0.07), rng.uniform(0.006, 0.02)
+    span, root, tip = half * rng.uniform(0.3, 0.95), front - 0.003, front + reach
+    kind = rng.random()
+    if kind < 0.5:
+        held, end = posts(0.0, y, span, grip, root, tip), span + grip
+        if rng.random() < 0.5:
+            return [*held, cylinder((-end, y, tip), (end, y, tip), grip)]
+        return [*held, slab((-end, y - 1.5 * grip, tip - grip), (end, y + 1.5 * grip, tip + 0.5 * grip), 2, grip)]
+    if kind < 0.65:  # an arch, bowed towards the room and sometimes up or down
+        s = np.linspace(-1, 1, 9)
+        rise = 1 - np.abs(s) ** rng.uniform(2.0, 8.0)
+        drop = (high - y) * rng.uniform(-0.5, 0.5) * (rng.random() < 0.4)
+        return [tube(points(s * span, y + drop * rise, root + reach * rise), grip)]
+    if kind < 0.78:
+        return [box((-span, y - grip, root), (span, y + grip, front + 0.6 * reach))]
+    if kind < 0.87:
+        return [cylinder((0, y, root), (0, y, tip), 1.5 * grip)]
+    tall, rim = rng.uniform(0.02, 0.05), 0.4 * grip
+    ledges = (y + tall, y + tall + rim), (y - tall - rim, y - tall)
+    return [box((-span, a, root), (span, b, front + 0.3 * reach)) for a, b in ledges]
+
+
+def _controls(rng, half, low, high, front) -> list[Mesh]:
+    """A control panel across the top of the door, with a display and buttons."""
+    tall = (high - low) * rng.uniform(0.08, 0.2)
+    step, y = rng.uniform(0.002, 0.025), high - tall / 2
+    solids = [slab((-half, high - tall, front - 0.003), (half, high, front + step), 2, 0.003)]
+    for s in rng.uniform(-0.85, 0.85, int(rng.integers(0, 6))):
+        size = rng.uniform(0.005, 0.02)
+        solids.append(box((s * half - size, y - size, front), (s * half + size, y + size, front + step + 0.006)))
+    return solids
+
+
+def _inner_panel(rng, half, low, high, back, lap: float) -> list[Mesh]:
+    """The raised inner liner of the door, with the detergent dispenser; the door laps over the walls by ``lap``."""
+    inset = max(half * rng.uniform(0.05, 0.15), lap + 0.004)
+    step = rng.choice([rng.uniform(0.005, 0.03), rng.uniform(0.02, 0.07)])
+    low_corner = (-half + inset, low + (high - low) * rng.uniform(0.05, 0.15), back - step)
+    solids = [slab(low_corner, (half - inset, high - (high - low) * 0.08, back + 0.003), 2, rng.uniform(0.0, 0.03))]
+    if rng.random() < 0.6:
+        x, y = half * rng.uniform(-0.4, 0.3), low + (high - low) * rng.uniform(0.4, 0.7)
+        w, h = rng.uniform(0.05, 0.12), rng.uniform(0.04, 0.08)
+        solids.append(box((x - w, y - h, back - step - rng.uniform(0.005, 0.02)), (x + w, y + h, back)))
+    return solids

@@ -1,0 +1,1 @@
+"""Depth images of object models: rasteriser, viewpoints, camera noise, folders of views."""

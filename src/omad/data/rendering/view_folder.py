@@ -1,0 +1,234 @@
+"""Standard views on disk: rendered once, read by anyone.
+
+    <folder>/dataset.json              category, camera, depth_scale (metres per stored integer), seed, noise, views
+    <folder>/<object>/object.json      axes, pivots, limits, part_boxes (``standard_views.ObjectTruth``)
+    <folder>/<object>/00000.json       states, T_camera_base, seed; written last, so it marks a whole view
+    <folder>/<object>/00000.depth.png  16 bit, 0 = no measurement
+    <folder>/<object>/00000.labels.png 8 bit part index, 255 = nothing
+
+Every file depends on the arguments alone: not on the number of processes, nor on interruptions.
+"""
+
+import multiprocessing
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, dataclass, fields
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from PIL import Image
+from tqdm import tqdm
+
+from omad.common.errors import InputError
+from omad.common.files import read_json, write_atomic, write_json
+from omad.geometry.camera import STANDARD_CAMERA, Camera
+from omad.objects.category import Category
+from omad.objects.model import ObjectModel
+from omad.sensing.depth_files import read_depth, read_image
+
+from .depth_noise import NoiseLevel
+from .standard_views import ObjectTruth, View, ViewSeed, standard_view, view_seed
+
+FORMAT = "omad-views-1"
+REACH = 11.0
+"""No standard view of an object is farther than this, in category units."""
+
+
+@dataclass(frozen=True)
+class ViewFolder:
+    """A folder of standard views; iterate over it for its views, in the order they were drawn."""
+
+    path: Path
+    category: str
+    camera: Camera
+    depth_scale: float
+    """Metres per stored integer."""
+    seed: int
+    noise: NoiseLevel | None
+    objects: tuple[str, ...]
+    views: int
+
+    def __len__(self) -> int:
+        return self.views
+
+    def __iter__(self) -> Iterator[View]:
+        truths = [_read_truth(self.path / name) for name in self.objects]
+        for index in range(self.views):
+            _, which, number = view_seed(index, len(self.objects), self.seed)
+            yield self._read(truths[which], number)
+
+    def _read(self, truth: ObjectTruth, number: int) -> View:
+        stem = self.path / truth.name / f"{number:05d}"
+        record = _read_json(stem.with_suffix(".json"), "states", "T_camera_base", "seed")
+        depth = read_depth(stem.with_suffix(".depth.png"), self.depth_scale)
+        labels = read_image(stem.with_suffix(".labels.png"))
+        if depth.shape != labels.shape or depth.shape != (self.camera.height, self.camera.width):
+            raise InputError(f"{stem}: image sizes do not fit the camera; delete {stem}.json and render again")
+        states, pose = np.array(record["states"]), np.array(record["T_camera_base"])
+        return View(truth, depth, labels, self.camera, states, pose, tuple(record["seed"]))
+
+
+def is_view_folder(folder: str | Path) -> bool:
+    """Whether ``render_to_folder`` made, or began, this folder."""
+    return (Path(folder) / "dataset.json").is_file()
+
+
+def open_views(folder: str | Path) -> ViewFolder:
+    """A folder that ``render_to_folder`` made. Raises InputError where it is none, or is not finished."""
+    path = Path(folder)
+    kept = [field.name for field in fields(ViewFolder) if field.name != "path"]
+    record = _read_json(path / "dataset.json", "format", *kept, "finished")
+    if record["format"] != FORMAT:
+        raise InputError(f"{path}: format {record['format']!r} is not {FORMAT}; render it again")
+    if not record["finished"]:
+        raise InputError(f"{path}: rendering was interrupted; give the same render command again to finish it")
+    noise = NoiseLevel(**record["noise"]) if record["noise"] else None
+    made = {"camera": Camera(**record["camera"]), "noise": noise, "objects": tuple(record["objects"])}
+    return ViewFolder(path, **{key: record[key] for key in kept} | made)
+
+
+def render_to_folder(
+    models: Sequence[ObjectModel],
+    category: Category,
+    folder: str | Path,
+    views: int,
+    seed: int = 0,
+    noise: NoiseLevel | None = None,
+    processes: int = 1,
+    progress: bool = False,
+) -> ViewFolder:
+    """Write ``views`` standard views of the models; what is already there from the same arguments is kept. Raises
+    InputError for a folder made with other arguments (only ``views`` may differ) and for unfit model names."""
+    path = Path(folder)
+    names = [model.name for model in models]
+    if not names or len(set(names)) < len(names):
+        raise InputError(f"{path}: rendering needs object models, each with a name of its own; got {names}")
+    if any(Path(name).name != name for name in names):
+        raise InputError(f"{path}: an object's name becomes a folder's name; rename one of {names}")
+    scale, dataset = _depth_scale(category), path / "dataset.json"
+    camera = {key: value for key, value in vars(STANDARD_CAMERA).items() if value is not None}
+    record = {"format": FORMAT, "category": category.name, "camera": camera, "depth_scale": scale, "seed": seed}
+    record |= {"noise": asdict(noise) if noise else None, "objects": names}
+    truths = {path / model.name / "object.json": _truth_record(model) for model in models}
+    if dataset.exists():  # views of other settings or other models are not mixed
+        refuse_others(path, _read_json(dataset), record)
+        for file, truth in truths.items():
+            if file.exists() and _read_json(file) != truth:
+                raise InputError(f"{path}: already holds another object {truth['name']}; choose another folder")
+    write_json(dataset, {**record, "views": views, "finished": False})
+    for file, truth in truths.items():
+        write_json(file, truth)
+
+    file_of, write = partial(_view_file, path, names), partial(_write_view, scale)
+    draw_missing(models, category, views, seed, noise, file_of, write, processes, progress)
+    write_json(dataset, {**record, "views": views, "finished": True})
+    return open_views(path)
+
+
+def _view_file(folder: Path, names: Sequence[str], seed: ViewSeed) -> Path:
+    return folder / names[seed[1]] / f"{seed[2]:05d}.json"
+
+
+def _write_view(depth_scale: float, view: View, file: Path) -> None:
+    write_depth(file.with_suffix(".depth.png"), view.depth, depth_scale)
+    write_png(file.with_suffix(".labels.png"), view.labels)
+    write_json(file, {"states": view.states.tolist(), "T_camera_base": view.T_camera_base.tolist(), "seed": view.seed})
+
+
+def draw_missing(
+    models: Sequence[ObjectModel],
+    category: Category,
+    views: int,
+    seed: int,
+    noise: NoiseLevel | None,
+    file_of: Callable[[ViewSeed], Path],
+    write: Callable[[View, Path], None],
+    processes: int = 1,
+    progress: bool = False,
+) -> None:
+    """Draw those of ``views`` standard views, dealt out to the models in turn, that are not there yet. ``write`` stores
+    a view; the file that it writes last is ``file_of`` its seed: where that exists, the view is whole. Both are sent to
+    the processes that help."""
+    draw = partial(_draw, tuple(models), category, noise, file_of, write)
+    seeds = [view_seed(index, len(models), seed) for index in range(views)]
+    missing = [drawn for drawn in seeds if not file_of(drawn).exists()]
+    with tqdm(total=views, initial=views - len(missing), desc="views", disable=not progress) as bar:
+        for _ in _run(draw, missing, processes):
+            bar.update()
+
+
+def _draw(models: Sequence[ObjectModel], category: Category, noise, file_of, write, seed: ViewSeed) -> None:
+    write(standard_view(models[seed[1]], category, seed, noise), file_of(seed))
+
+
+_drawing: Callable[[ViewSeed], None]
+"""In a worker process, what it works on: sent once, not with every view."""
+
+
+def _start_worker(drawing: Callable[[ViewSeed], None]) -> None:
+    global _drawing
+    _drawing = drawing
+    torch.set_num_threads(1)
+
+
+def _work(seed: ViewSeed) -> None:
+    _drawing(seed)
+
+
+def _run(draw: Callable[[ViewSeed], None], seeds: list[ViewSeed], processes: int) -> Iterator[None]:
+    if processes <= 1 or len(seeds) < 2:
+        yield from map(draw, seeds)
+        return
+    spawn = multiprocessing.get_context("spawn")  # fork would copy the locks of running threads
+    with ProcessPoolExecutor(processes, spawn, _start_worker, (draw,)) as pool:
+        yield from pool.map(_work, seeds, chunksize=8)
+
+
+def _depth_scale(category: Category) -> float:
+    """Tenths of millimetres, or the next power of ten that reaches the farthest standard view in 16 bits."""
+    scale = 1e-4
+    while REACH * category.metres_per_unit > scale * (2**16 - 1):
+        scale *= 10
+    return scale
+
+
+def refuse_others(path: Path, before: dict[str, Any], record: dict[str, Any]) -> None:
+    """Raises InputError where what was written ``before`` differs from ``record`` in one of its keys."""
+    for key, value in record.items():
+        if before.get(key) != value:
+            raise InputError(f"{path}: already holds another {key}; choose another folder or delete it")
+
+
+def _truth_record(model: ObjectModel) -> dict[str, Any]:
+    truth = vars(ObjectTruth.of(model))
+    return {key: value.tolist() if isinstance(value, np.ndarray) else value for key, value in truth.items()}
+
+
+def _read_truth(folder: Path) -> ObjectTruth:
+    record = _read_json(folder / "object.json", "name", "axes", "pivots", "limits", "part_boxes")
+    name = record.pop("name")
+    return ObjectTruth(name, **{key: np.array(value) for key, value in record.items()})
+
+
+def _read_json(path: Path, *keys: str) -> dict[str, Any]:
+    cure = "give a folder made by omad render"
+    record = read_json(path, cure)
+    if not isinstance(record, dict) or not set(keys) <= record.keys():
+        raise InputError(f"{path}: lacks one of {', '.join(keys)}; {cure}")
+    return record
+
+
+def write_depth(path: Path, depth: np.ndarray, depth_scale: float) -> np.ndarray:
+    """Write depth (H, W) metres as 16-bit PNG -> the stored integers; what does not fit into 16 bits is 0."""
+    stored = np.rint(depth / depth_scale)
+    stored = np.where(stored < 2**16, stored, 0).astype(np.uint16)
+    write_png(path, stored)
+    return stored
+
+
+def write_png(path: Path, image: np.ndarray) -> None:
+    """8 or 16 bit, whole or not at all."""
+    write_atomic(path, lambda temporary: Image.fromarray(image).save(temporary, "PNG", compress_level=1))

@@ -1,0 +1,151 @@
+"""Object models and views by the name of their source, as the commands take it.
+
+A new kind of source is a file that reads it and an entry in ``KINDS``.
+"""
+
+import sys
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from itertools import islice
+from typing import Literal, Self, TypeAlias
+
+from omad.common.errors import InputError
+from omad.objects.category import Category
+from omad.objects.model import ObjectModel, SampledObject
+
+from .artimage import Broken, is_artimage, open_artimage
+from .procedural import generate
+from .rendering.depth_noise import LEVELS
+from .rendering.standard_views import View, standard_views
+from .rendering.view_folder import is_view_folder, open_views
+from .urdf_import.folder import load_folder
+
+Split: TypeAlias = Literal["train", "test"]
+
+
+@dataclass(frozen=True)
+class ModelSource:
+    models: list[ObjectModel]
+    refused: list[dict[str, str]] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class ViewSource:
+    views: Iterable[View]
+    total: int
+    noisy: bool
+    """Whether a camera's noise was simulated."""
+    refused: list[dict[str, str]] = field(default_factory=list)
+    """Complete once all views are read."""
+    models: Sequence[ObjectModel] = ()
+    """What the views were rendered of; none where the source holds images only."""
+
+    def spread(self, count: int) -> Self:
+        """So many of the views, evenly over all of them."""
+        total = min(count, self.total)
+        step = self.total // max(1, total)
+        return replace(self, views=islice(self.views, 0, max(0, (total - 1) * step + 1), step or 1), total=total)
+
+    def model_of(self, view: View) -> ObjectModel | None:
+        """The object behind one of the views, where there is one."""
+        return self.models[view.seed[1]] if self.models else None
+
+
+@dataclass(frozen=True)
+class SourceKind:
+    """How a kind of source is known and read. All but the first is left out where the kind does not hold it; errors
+    are InputErrors that name the source."""
+
+    is_one: Callable[[str], bool]
+    models: Callable[[str, Category, int, Split, int], ModelSource] | None = None
+    """Objects with meshes, of which views can be rendered, by source, category, their number, split and seed."""
+    surfaces: Callable[[str, Category, Split, Broken], list[SampledObject]] | None = None
+    """Complete objects without meshes."""
+    images: Callable[[str, Category, Broken], ViewSource] | None = None
+    """Views to test on."""
+
+    @property
+    def has_objects(self) -> bool:
+        """Whether complete objects can be had."""
+        return self.models is not None or self.surfaces is not None
+
+
+def _generated(source: str, category: Category, objects: int, split: Split, seed: int) -> ModelSource:
+    return ModelSource([generate(category, index, split, seed) for index in range(objects)])
+
+
+def _urdfs(source: str, category: Category, objects: int, split: Split, seed: int) -> ModelSource:
+    found = load_folder(source, category)
+    if not found.models and len(found.refused) == 1:
+        raise InputError(f"{source}: no usable model in it: {found.refused[0].reason}")
+    for refusal in found.refused:
+        print(f"left out {refusal.name}: {refusal.reason}", file=sys.stderr)
+    if not found.models:
+        raise InputError(f"{source}: none of its {len(found.refused)} models fits {category.name} (reasons above)")
+    return ModelSource(found.models, [asdict(refusal) for refusal in found.refused])
+
+
+def _artimage_surfaces(source: str, category: Category, split: Split, broken: Broken) -> list[SampledObject]:
+    return [thing.surface for thing in open_artimage(source, category, split, broken).objects.values()]
+
+
+def _artimage_images(source: str, category: Category, broken: Broken) -> ViewSource:
+    images = open_artimage(source, category, "test", broken)
+    return ViewSource(images, len(images), False, images.left_out)
+
+
+def _rendered_images(source: str, category: Category, broken: Broken) -> ViewSource:
+    rendered = open_views(source)
+    if rendered.category != category.name:
+        raise InputError(f"{source}: views of {rendered.category}, not of {category.name}")
+    return ViewSource(rendered, len(rendered), rendered.noise is not None)
+
+
+KINDS: dict[str, SourceKind] = {
+    "procedural": SourceKind(lambda source: source == "procedural", models=_generated),
+    "artimage": SourceKind(is_artimage, surfaces=_artimage_surfaces, images=_artimage_images),
+    "rendered": SourceKind(is_view_folder, images=_rendered_images),
+    "urdf": SourceKind(lambda source: True, models=_urdfs),
+}
+"""The first that knows a source as its own reads it."""
+
+
+def kind_of(source: str) -> SourceKind:
+    """What a source is."""
+    return next(kind for kind in KINDS.values() if kind.is_one(source))
+
+
+def load_models(source: str, category: Category, objects: int, split: Split, seed: int) -> ModelSource:
+    """Procedural objects, or those of a folder that fit; raises InputError where none does."""
+    kind = kind_of(source)
+    if kind.models is None:
+        raise InputError(f"{source}: holds images, no meshes; give a folder of models")
+    return kind.models(source, category, objects, split, seed)
+
+
+def load_objects(
+    source: str, category: Category, objects: int, split: Split, seed: int, broken: Broken
+) -> list[SampledObject]:
+    """Complete objects, with or without meshes; those of the test split are what ``load_views`` shows. Raises
+    InputError where there are none."""
+    surfaces = kind_of(source).surfaces
+    if surfaces is not None:
+        return surfaces(source, category, split, broken)
+    return [*load_models(source, category, objects, split, seed).models]
+
+
+def load_views(
+    source: str, category: Category, objects: int, views: int, seed: int, noisy: bool, broken: Broken, skip: int = 0
+) -> ViewSource:
+    """Views to test on: all images that a source holds, else standard views of its models; without the first ``skip``
+    of them, which ``total`` still counts. Raises InputError for a source of another category, and where noise is asked
+    for that only a rendering can have."""
+    images = kind_of(source).images
+    if images is None:
+        found = load_models(source, category, objects, "test", seed)
+        drawn = standard_views(found.models, category, views, seed, LEVELS["on" if noisy else "off"], skip)
+        return ViewSource(drawn, views, noisy, found.refused, found.models)
+    if noisy:
+        raise InputError(f"{source}: is rendered already; leave out --depth-noise, or render with --noise")
+    held = images(source, category, broken)
+    return replace(held, views=islice(held.views, skip, None))

@@ -1,0 +1,1 @@
+"""Other people's URDF models brought to canonical space."""

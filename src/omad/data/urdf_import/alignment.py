@@ -1,0 +1,166 @@
+"""Canonical alignment: find a foreign model's rest state and canonical frame from its geometry.
+
+The first joint's axis gives one canonical direction. Around it, the flat faces of the base give two more,
+up to quarter turns. Which of the eight frames that leaves is canonical, the category's spec tells: where
+the child reaches from its joint, on which side of its parent it lies, which way its joint moves.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from omad.common.errors import InputError
+from omad.geometry.directions import face_directions, tip_direction
+from omad.geometry.rigid import across, carry_each, rotate_each
+from omad.objects.category import Category
+from omad.objects.model import ObjectModel
+
+from .articulation import RawArticulation, as_model
+from .rest_states import REST_RULES
+
+EXACT = 1e-6
+"""Share of the object's diagonal by which a canonical object may miss its place, and radians of its limits."""
+LEAST_AGREEMENT = 0.3
+"""Cosine below which a child does not lie where the spec says: the object is of another kind."""
+LEAST_TRAVEL = 0.1
+"""Share of the spec's range of states that an object's joint must cover."""
+SHORT = 0.1
+"""Share of the object's diagonal below which a distance says little about its direction."""
+
+
+def align(labellings: Sequence[RawArticulation], category: Category) -> ObjectModel:
+    """Bring an articulation to canonical space.
+
+    Each labelling has the category's parts as its links and the category's joints as its joints, in order;
+    the one that fits the spec best is taken. Raises InputError, without a file's name, where none is shaped
+    or jointed like the category's. What is canonical already, as our own files are, stays as it stands.
+    """
+    best = next((as_model(raw, category) for raw in labellings if _is_canonical(raw, category)), None)
+    if best is None:
+        candidates = (candidate for raw in labellings for candidate in _candidates(raw, category))
+        best, _ = max(candidates, key=lambda candidate: candidate[1])
+    _check(best, category)
+    # limits within the spec's; the spec's where the object states none
+    spec = category.metric_limits
+    limits = np.stack([np.fmax(best.limits[:, 0], spec[:, 0]), np.fmin(best.limits[:, 1], spec[:, 1])], 1)
+    model = replace(best, limits=limits).centred()
+    # pivots move along their axes to where they are nearest to the origin, as any point of an axis will do
+    along = (model.pivots * model.axes).sum(1, keepdims=True)
+    return replace(model, pivots=model.pivots - along * model.axes)
+
+
+def _is_canonical(raw: RawArticulation, category: Category) -> bool:
+    """Whether links are called like the parts, box and axes are in place, and limits are within the spec's."""
+    if [link.name for link in raw.links] != [part.name for part in category.parts]:
+        return False
+    model, spec = as_model(raw, category), category.metric_limits
+    boxes = model.part_boxes()
+    off = np.abs(boxes[:, 0].min(0) + boxes[:, 1].max(0)).max() / 2
+    outside = np.maximum(spec[:, 0] - model.limits[:, 0], model.limits[:, 1] - spec[:, 1]).max()
+    expected = np.array([joint.axis for joint in category.joints])
+    along = (model.axes * expected).sum(1) / np.linalg.norm(expected, axis=1)
+    # a limit that is not stated is NaN, which is not within anything
+    in_place = off < EXACT * model.diagonal and outside < EXACT and along.min() > 0.9
+    return bool(in_place and _agreement(model, category).min() > LEAST_AGREEMENT)
+
+
+def _candidates(raw: RawArticulation, category: Category) -> Iterator[tuple[ObjectModel, float]]:
+    """The object at rest in every frame that might be canonical, and how well it fits the spec there."""
+    model = as_model(raw, category)
+    rest = []
+    joints = zip(category.joints, model.parts[1:], model.axes, model.pivots, model.limits, strict=True)
+    for spec, child, *joint in joints:
+        rest.append(REST_RULES[spec.motion.turns, spec.rest](model.parts[spec.parent], child, *joint))
+    at_rest = _zero_at(model, np.array(rest))
+    for R in _frames(at_rest, category):
+        turned = _turned(at_rest, R, category)
+        # most sources have z up, others y: that decides where geometry does not
+        up = 0.05 * R[1, 2] + 0.02 * R[1, 1]
+        yield turned, float(_agreement(turned, category).mean() + _travel(turned, category).mean() + up)
+
+
+def _zero_at(model: ObjectModel, states: np.ndarray) -> ObjectModel:
+    """The same object, its joints' zero moved to ``states`` (J,)."""
+    parents = model.part_transforms(states)[list(model.tree.parents)]
+    return replace(
+        model,
+        parts=model.posed(states),
+        axes=rotate_each(parents, model.axes),
+        pivots=carry_each(parents, model.pivots),
+        limits=model.limits - states[:, None],
+    )
+
+
+def _turned(model: ObjectModel, R: np.ndarray, category: Category) -> ObjectModel:
+    """The object in the frame that ``R`` (3, 3) takes it to; joints whose axis points against the spec's turn round."""
+    axes = model.axes @ R.T
+    against = (axes * [joint.axis for joint in category.joints]).sum(1, keepdims=True) < 0
+    return replace(
+        model,
+        parts=tuple(part.warped(lambda vertices: vertices @ R.T) for part in model.parts),
+        axes=np.where(against, -axes, axes),
+        pivots=model.pivots @ R.T,
+        limits=np.where(against, -model.limits[:, ::-1], model.limits),
+    )
+
+
+def _frames(model: ObjectModel, category: Category) -> Iterator[np.ndarray]:
+    """Rotations R (model to canonical) that bring the first axis to the spec's line and faces to faces, or tips
+    that point the same way to +z."""
+    target = np.array(category.joints[0].axis) / np.linalg.norm(category.joints[0].axis)
+    canonical = np.stack([target, *across(target)], 1)
+    if category.joints[0].rest == "tips together":
+        tips = sum(tip_direction(part, model.axes[0], model.pivots[0]) for part in model.parts[:2])
+        front = tips / np.linalg.norm(tips)
+        for axis in (model.axes[0], -model.axes[0]):
+            yield np.stack([np.cross(axis, front), axis, front])
+        return
+    first, second = face_directions(model.parts[0], model.axes[0])
+    for sign in (1.0, -1.0):
+        for a, b in ((first, second), (second, -first), (-first, -second), (-second, first)):
+            # the second sign turns the frame half about a, which keeps it right-handed
+            yield canonical @ np.stack([sign * model.axes[0], a, sign * b])
+
+
+def _agreement(model: ObjectModel, category: Category) -> np.ndarray:
+    """Cosines between where children are and where the spec says they are; nearer to 1 where they are close by."""
+    centres = model.part_boxes().mean(1)
+    diagonal, found = model.diagonal, [1.0]
+    for joint, spec in enumerate(category.joints):
+        axis = model.axes[joint]
+        reach = centres[joint + 1] - model.pivots[joint]
+        beside = reach - axis * (reach @ axis)  # a pivot may be anywhere on its axis
+        for offset, expected in ((beside, spec.reach), (centres[joint + 1] - centres[spec.parent], spec.side)):
+            if expected is not None:
+                length = float(np.linalg.norm(offset))
+                cosine = offset @ np.array(expected) / max(length * np.linalg.norm(expected), 1e-12)
+                found.append(1 - min(1.0, length / (SHORT * diagonal)) * (1 - cosine))
+    return np.array(found)
+
+
+def _travel(model: ObjectModel, category: Category) -> np.ndarray:
+    """(J,) share of the spec's range of states that the object's limits cover; 1 where it states none."""
+    spec = category.metric_limits
+    low, high = np.maximum(model.limits[:, 0], spec[:, 0]), np.minimum(model.limits[:, 1], spec[:, 1])
+    return np.nan_to_num(np.clip(high - low, 0, None) / (spec[:, 1] - spec[:, 0]), nan=1.0)
+
+
+def _check(model: ObjectModel, category: Category) -> None:
+    if _agreement(model, category).min() < LEAST_AGREEMENT:
+        raise InputError(f"its parts do not lie to each other as those of a {category.name} do")
+    sizes = np.ptp(model.part_boxes(), axis=1) / model.diagonal
+    for part, size in zip(category.parts, sizes, strict=True):
+        for letter, share, (least, most) in zip("xyz", size, part.sides or (), strict=False):
+            if not least <= share <= most:
+                raise InputError(
+                    f"its {part.name} spans {share:.2f} of the object's diagonal along {letter},"
+                    f" that of a {category.name} {least:g} to {most:g}"
+                )
+    for joint, share in enumerate(_travel(model, category)):
+        if share < LEAST_TRAVEL:
+            low, high = model.limits[joint]
+            raise InputError(
+                f"joint {model.joint_names[joint]!r} moves from {low:.2f} to {high:.2f} from its rest state "
+                f"(radians or metres), which hardly meets the range of a {category.name}"
+            )

@@ -1,0 +1,338 @@
+"""URDF as other people write it, read as it is."""
+
+import re
+import xml.etree.ElementTree as ElementTree
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal, Self
+
+import numpy as np
+import trimesh
+import yourdfpy
+
+from omad.common.errors import InputError
+from omad.geometry.joint_kinds import JointType, Motion, motion_of, type_of
+from omad.geometry.mesh import Mesh, merge_meshes
+from omad.objects.category import Category
+from omad.objects.model import ObjectModel
+
+MissingMeshes = Literal["refuse", "skip"]
+"""What to do about mesh files that a URDF names and that are not there."""
+
+
+_JOINT_TYPES: dict[str, JointType] = {"revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic"}
+"""URDF's own names."""
+
+
+@dataclass(frozen=True)
+class RawLink:
+    """One rigid body: a link together with all that is fixed to it."""
+
+    name: str
+    """The link's own name; of several fixed together, that of the first with a mesh."""
+    names: tuple[str, ...]
+    """Names of all links with meshes in this body."""
+    mesh: Mesh
+    """Metres, model frame at zero configuration; empty where no link has geometry."""
+
+
+@dataclass(frozen=True)
+class RawJoint:
+    """A movable joint, in the model frame at zero configuration."""
+
+    name: str
+    motion: Motion
+    """Metres and radians."""
+    parent: int
+    """Index of a link."""
+    child: int
+    axis: np.ndarray
+    """(3,) unit."""
+    pivot: np.ndarray
+    """(3,) metres: the joint frame's origin."""
+    limits: tuple[float, float] | None
+    """Radians or metres; None where the file states none."""
+
+    @property
+    def type(self) -> JointType:
+        return type_of(self.motion)
+
+
+@dataclass(frozen=True)
+class RawArticulation:
+    """What a URDF says, in the frame of its root link; root first, parents before children."""
+
+    name: str
+    links: tuple[RawLink, ...]
+    joints: tuple[RawJoint, ...]
+    """In the order of their children: the child of ``joints[i]`` is ``links[i + 1]``."""
+
+    def rerooted(self, root: int) -> Self:
+        """The same articulation hung up at link ``root``: joints on the way to the old root are turned round."""
+        turned = [replace(j, parent=j.child, child=j.parent, axis=-j.axis) for j in self.joints]
+        both = [joint for pair in zip(self.joints, turned, strict=True) for joint in pair]
+        order, joints = [root], list[RawJoint]()
+        for link in order:
+            for joint in both:
+                if joint.parent == link and joint.child not in order:
+                    order.append(joint.child)
+                    joints.append(joint)
+        return self.with_links(order, joints)
+
+    def with_links(self, links: Sequence[int], joints: Iterable[RawJoint]) -> Self:
+        """The same articulation of these links alone, in this order, with joints between them."""
+        place = {link: index for index, link in enumerate(links)}
+        kept = tuple(replace(joint, parent=place[joint.parent], child=place[joint.child]) for joint in joints)
+        return replace(self, links=tuple(self.links[link] for link in links), joints=kept)
+
+
+def read_articulation(
+    path: Path | str, metres_per_unit: float = 1.0, missing_meshes: MissingMeshes = "refuse"
+) -> RawArticulation:
+    """Read a URDF with its visual meshes (a link without any: its collision meshes).
+
+    Continuous joints become hinges without limits; what is joined by fixed joints becomes one link;
+    links without geometry at the root or at the tips are dropped. ``metres_per_unit`` scales all lengths.
+    Raises InputError for a file that is missing, broken or no tree, a missing mesh, an unknown joint type.
+    """
+    path = Path(path)
+    robot = _parse(path)
+    root, joints = _sorted_tree(path, robot)
+    T_model = {root: np.eye(4)}
+    for joint in joints:
+        T_model[joint.child] = T_model[joint.parent] @ (np.eye(4) if joint.origin is None else joint.origin)
+
+    coupled = _coupled(robot, joints, T_model)
+    body_of, members, moving = {root: 0}, [[root]], []
+    for joint in joints:
+        if joint.type == "fixed" or joint.name in coupled:
+            body_of[joint.child] = body_of[joint.parent]
+            members[body_of[joint.child]].append(joint.child)
+        else:
+            body_of[joint.child] = len(members)
+            members.append([joint.child])
+            moving.append(joint)
+
+    links, bodies = {link.name: link for link in robot.links}, []
+    for names in members:
+        parts = {name: _link_mesh(path, links[name], T_model[name], missing_meshes) for name in names}
+        solid = tuple(name for name in names if len(parts[name].faces))
+        mesh = merge_meshes(parts.values()).warped(lambda vertices: vertices * metres_per_unit)
+        bodies.append(RawLink((solid or names)[0], solid, mesh))
+    slides = dict(coupled.values())
+    raw = []
+    for joint in moving:
+        ends, slide = (body_of[joint.parent], body_of[joint.child]), slides.get(joint.name, 0.0)
+        raw.append(_raw_joint(path, joint, slide, ends, T_model[joint.child], metres_per_unit))
+    return _without_empty_ends(path, RawArticulation(robot.name or path.stem, tuple(bodies), tuple(raw)))
+
+
+def read_urdf(path: Path | str, category: Category) -> ObjectModel:
+    """Read a file of ``write_urdf`` back, exactly. Other people's files: ``omad.data.urdf_import.folder.import_model``.
+    Raises InputError where its links and joints are not the category's."""
+    raw = read_articulation(path)
+    names, wanted = [link.name for link in raw.links], [part.name for part in category.parts]
+    if sorted(names) != sorted(wanted):
+        unlike = f"links {', '.join(names)} are not the parts of a {category.name} ({', '.join(wanted)})"
+        raise InputError(f"{path}: {unlike}; import it with omad.data.urdf_import.folder.import_model")
+    joint_to = {names[joint.child]: joint for joint in raw.joints}
+    joints = tuple(joint_to[name] for name in wanted[1:] if name in joint_to)
+    found = [(joint.type, names[joint.parent]) for joint in joints]
+    if found != [(spec.type, wanted[spec.parent]) for spec in category.joints]:
+        raise InputError(f"{path}: its joints are not those of a {category.name}; import it as a foreign model")
+    for joint in joints:
+        if joint.limits is None:
+            raise InputError(f"{path}: joint {joint.name!r} has no limits; import it as a foreign model")
+    parts = tuple(raw.links[names.index(name)] for name in wanted)
+    model = as_model(replace(raw, links=parts, joints=joints), category)
+    pivots = np.where(np.array(model.tree.turning)[:, None], model.pivots, 0.0)
+    return replace(model, pivots=pivots, joint_names=tuple(joint.name for joint in joints))
+
+
+def as_model(raw: RawArticulation, category: Category) -> ObjectModel:
+    """Links and joints that are the category's, in its order, as they stand; limits that are not stated are NaN."""
+    return ObjectModel.of(
+        category,
+        raw.name,
+        parts=[link.mesh for link in raw.links],
+        axes=np.stack([joint.axis for joint in raw.joints]),
+        pivots=np.stack([joint.pivot for joint in raw.joints]),
+        limits=np.array([joint.limits or (np.nan, np.nan) for joint in raw.joints], dtype=np.float64),
+        motions=[joint.motion for joint in raw.joints],
+    )
+
+
+def _parse(path: Path) -> Any:
+    if not path.is_file():
+        raise InputError(f"{path}: no such file; give a URDF")
+    try:
+        # yourdfpy would go on with the readable half of a broken file
+        root = ElementTree.parse(path).getroot()
+    except ElementTree.ParseError as error:
+        raise InputError(f"{path}: broken XML ({error}); repair the file or download it again") from error
+    if root.tag != "robot":
+        raise InputError(f"{path}: not a URDF: its root element is <{root.tag}>, expected <robot>")
+    try:
+        return yourdfpy.URDF.load(str(path), build_scene_graph=False, load_meshes=False).robot
+    except Exception as error:
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise InputError(f"{path}: cannot be read as a URDF ({reason}); repair the file") from error
+
+
+def _sorted_tree(path: Path, robot: Any) -> tuple[str, list[Any]]:
+    """Root link and joints, parents before children and otherwise as in the file."""
+    links = [link.name for link in robot.links]
+    for kind, names in (("link", links), ("joint", [joint.name for joint in robot.joints])):
+        for name, count in Counter(names).items():
+            if count > 1:
+                raise InputError(f"{path}: two {kind}s are called {name!r}; rename one")
+    if not links:
+        raise InputError(f"{path}: no links; give a URDF with at least one")
+    for joint in robot.joints:
+        if joint.type != "fixed" and joint.type not in _JOINT_TYPES:
+            known = ", ".join([*_JOINT_TYPES, "fixed"])
+            raise InputError(f"{path}: joint {joint.name!r} has the type {joint.type!r}; supported are {known}")
+        for end in (joint.parent, joint.child):
+            if end not in links:
+                raise InputError(f"{path}: joint {joint.name!r} names the link {end!r}, which is not in the file")
+    parents = Counter(joint.child for joint in robot.joints)
+    for child, count in parents.items():
+        if count > 1:
+            raise InputError(f"{path}: link {child!r} has {count} parents; a tree of links allows one")
+    roots = [link for link in links if not parents[link]]
+    if len(roots) > 1:
+        raise InputError(f"{path}: links {', '.join(roots)} have no parent; join them to one root with fixed joints")
+    order, joints = roots[:], []
+    for link in order:
+        following = [joint for joint in robot.joints if joint.parent == link]
+        order += [joint.child for joint in following]
+        joints += following
+    if len(order) < len(links):
+        loop = next(link for link in links if link not in order)
+        raise InputError(f"{path}: the joints form a cycle through the link {loop!r}; remove one of them")
+    return roots[0], joints
+
+
+def _coupled(robot: Any, joints: list[Any], T_model: dict[str, np.ndarray]) -> dict[str, tuple[str, float]]:
+    """Sliding joints that mimic the turning joint before them along the same axis, with only an empty link between:
+    the two are one joint. By the name of the slide: the other's name, and the slide in the file's unit a radian."""
+    before = {joint.child: joint for joint in joints}
+    solid = {link.name for link in robot.links if link.visuals or link.collisions}
+    found = {}
+    for joint in joints:
+        first = before.get(joint.parent)
+        if first is None or joint.mimic is None or joint.mimic.joint != first.name or joint.parent in solid:
+            continue
+        kinds = tuple(motion_of(_JOINT_TYPES[each.type]).turns for each in (first, joint) if each.type in _JOINT_TYPES)
+        along, other = (T_model[each.child][:3, :3] @ each.axis for each in (joint, first))
+        if kinds == (True, False) and np.allclose(np.cross(along, other), 0, atol=1e-6):
+            multiplier = 1.0 if joint.mimic.multiplier is None else float(joint.mimic.multiplier)
+            found[joint.name] = (first.name, multiplier * float(np.sign(along @ other)))
+    return found
+
+
+def _raw_joint(path: Path, joint: Any, slide: float, ends: tuple[int, int], T: np.ndarray, unit: float) -> RawJoint:
+    """``T`` (4, 4) joint frame -> model; ``unit`` in metres; ``slide`` along the axis a radian, from another joint."""
+    axis = T[:3, :3] @ joint.axis
+    length = np.linalg.norm(axis)
+    motion = motion_of(_JOINT_TYPES[joint.type])
+    if slide:
+        motion = Motion(motion.turn, slide).scaled(unit)
+    if not np.isfinite(T).all() or not np.isfinite(length) or length == 0:
+        raise InputError(f"{path}: joint {joint.name!r} has no proper origin and axis; give finite numbers")
+    limits = None
+    if joint.type != "continuous" and joint.limit is not None and None not in (joint.limit.lower, joint.limit.upper):
+        low, high = sorted(limit * motion.state_unit(unit) for limit in (joint.limit.lower, joint.limit.upper))
+        if not np.isfinite([low, high]).all():
+            raise InputError(f"{path}: the limits of joint {joint.name!r} are not finite; use a continuous joint")
+        limits = low, high
+    return RawJoint(joint.name, motion, *ends, axis / length, T[:3, 3] * unit, limits)
+
+
+def _without_empty_ends(path: Path, raw: RawArticulation) -> RawArticulation:
+    """Drop links without geometry that carry at most one joint: frames, and a 'world' the object hangs on."""
+    links, joints = list(range(len(raw.links))), list(raw.joints)
+    if not any(len(link.mesh.faces) for link in raw.links):
+        raise InputError(f"{path}: no link has a mesh; give the file together with its meshes")
+    while True:
+        degree = Counter(end for joint in joints for end in (joint.parent, joint.child))
+        empty = [link for link in links if not len(raw.links[link].mesh.faces) and degree[link] <= 1]
+        if not empty:
+            break
+        links.remove(empty[0])
+        joints = [joint for joint in joints if empty[0] not in (joint.parent, joint.child)]
+    return raw.with_links(links, joints)
+
+
+def _link_mesh(path: Path, link: Any, T_model_link: np.ndarray, missing: MissingMeshes) -> Mesh:
+    """All shapes of a link in the model frame, in the file's units."""
+    meshes = []
+    for element in link.visuals or link.collisions:
+        mesh = _shape(path, link.name, element.geometry, missing)
+        if mesh is not None:
+            meshes.append(mesh.carried(T_model_link if element.origin is None else T_model_link @ element.origin))
+    return merge_meshes(meshes)
+
+
+def _shape(path: Path, link: str, geometry: Any, missing: MissingMeshes) -> Mesh | None:
+    make = trimesh.creation
+    if (box := geometry.box) is not None:
+        return _as_mesh(make.box(extents=box.size))
+    if (bar := geometry.cylinder) is not None:
+        return _as_mesh(make.cylinder(radius=bar.radius, height=bar.length))
+    if (ball := geometry.sphere) is not None:
+        return _as_mesh(make.icosphere(subdivisions=3, radius=ball.radius))
+    name, scale = geometry.mesh.filename, geometry.mesh.scale
+    file = _find(path, name or "")
+    if file is None:
+        if missing == "skip":
+            return None
+        cure = "restore it, or read with missing_meshes='skip'"
+        raise InputError(f"{path}: mesh {name!r} of link {link!r} is missing; {cure}")
+    mesh, scale = _load_mesh(file), np.ones(3) if scale is None else np.asarray(scale, np.float64)
+    faces = mesh.faces[:, ::-1] if np.prod(np.broadcast_to(scale, 3)) < 0 else mesh.faces
+    return Mesh(mesh.vertices * scale, faces)
+
+
+def _as_mesh(solid: Any) -> Mesh:
+    return Mesh(np.asarray(solid.vertices, np.float64), np.asarray(solid.faces, np.int64))
+
+
+def _find(path: Path, filename: str) -> Path | None:
+    """The file beside the URDF or in a folder above it, with or without its package's name."""
+    name = Path(re.sub(r"^(package|file)://", "", filename))
+    names = [name, Path(*name.parts[1:])] if filename.startswith("package://") else [name]
+    places = [place / name for place in path.resolve().parents for name in names]
+    return next((place for place in places if filename and place.is_file()), None)
+
+
+def _load_mesh(file: Path) -> Mesh:
+    try:
+        if file.suffix.lower() == ".obj":
+            mesh = _parse_obj(file.read_text(encoding="utf-8", errors="replace"))
+        else:
+            mesh = _as_mesh(trimesh.load(str(file), force="mesh", process=False))
+        mesh = Mesh(mesh.vertices.reshape(-1, 3), mesh.faces.reshape(-1, 3))
+        if mesh.faces.size and not 0 <= mesh.faces.min() <= mesh.faces.max() < len(mesh.vertices):
+            raise ValueError("a face names a vertex that is not there")
+    except Exception as error:
+        raise InputError(f"{file}: cannot be read as a mesh ({error}); export it again") from error
+    if not np.isfinite(mesh.vertices).all():
+        raise InputError(f"{file}: has vertices that are not finite; export it again")
+    return mesh
+
+
+def _parse_obj(text: str) -> Mesh:
+    """Positions and triangles alone, in the file's order: texture coordinates and normals would split vertices."""
+    vertices, faces = list[list[float]](), list[tuple[int, int, int]]()
+    for line in text.replace("\\\n", " ").splitlines():
+        kind, *fields = line.split() or [""]
+        if kind == "v":
+            vertices.append([float(field) for field in fields[:3]])
+        elif kind == "f":
+            corners = [int(field.split("/")[0]) for field in fields]
+            corners = [c - 1 if c > 0 else len(vertices) + c for c in corners]
+            faces += [(corners[0], b, c) for b, c in zip(corners[1:-1], corners[2:], strict=True)]
+    return Mesh(np.array(vertices, np.float64), np.array(faces, np.int64))

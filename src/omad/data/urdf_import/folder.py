@@ -1,0 +1,109 @@
+"""Object models from folders of URDFs: plain ones in metres, and PartNet-Mobility's normalised ones."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from omad.common.errors import InputError
+from omad.objects.category import Category
+from omad.objects.model import ObjectModel
+
+from . import partnet
+from .alignment import align
+from .articulation import MissingMeshes, read_articulation
+from .links import label_parts
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """A model that was not taken in."""
+
+    name: str
+    reason: str
+    """One line."""
+
+
+@dataclass(frozen=True)
+class FolderImport:
+    """What a folder of models gave."""
+
+    models: list[ObjectModel]
+    refused: list[Refusal]
+
+
+def load_folder(
+    folder: Path | str, category: Category, scale: float | None = None, missing_meshes: MissingMeshes = "refuse"
+) -> FolderImport:
+    """Import every object of ``folder``: one itself, or ``.urdf`` files, or one sub-folder an object, by name.
+    Arguments as in ``import_model``. Objects that do not fit are listed with the reason. Raises InputError where
+    ``folder`` does not exist or holds no object at all."""
+    models, refused = [], []
+    for source in object_paths(folder):
+        try:
+            models.append(import_model(source, category, scale, missing_meshes))
+        except InputError as error:
+            refused.append(Refusal(object_name(source), str(error)))
+    return FolderImport(models, refused)
+
+
+def import_model(
+    path: Path | str, category: Category, scale: float | None = None, missing_meshes: MissingMeshes = "refuse"
+) -> ObjectModel:
+    """Bring one foreign model, a ``.urdf`` or the folder that holds it, to the category's canonical space. ``scale`` is
+    metres per unit of the file; left out, PartNet-Mobility folders have the category's and others 1. Raises InputError
+    with the file and the reason where the model is broken or does not fit the category."""
+    return import_with_notes(path, category, scale, missing_meshes)[0]
+
+
+def import_with_notes(
+    path: Path | str, category: Category, scale: float | None = None, missing_meshes: MissingMeshes = "refuse"
+) -> tuple[ObjectModel, list[str]]:
+    """``import_model``, and a line on everything that had to be put right about the model."""
+    path = Path(path)
+    file = _urdf_of(path) if path.is_dir() else path
+    normalised = partnet.is_partnet(file)
+    if normalised:
+        partnet.check_source_name(file.parent, category)
+    if scale is None:
+        scale = category.metres_per_unit if normalised else 1.0
+    raw = stated = read_articulation(file, scale, missing_meshes)
+    if normalised:
+        raw = partnet.with_stated_axes(partnet.with_names(stated, file.parent), file.parent, scale)
+    moved = [joint.name for joint, before in zip(raw.joints, stated.joints, strict=True) if joint is not before]
+    notes = [f"axis of {', '.join(moved)} taken from {partnet.JOINTS}: the URDF has it elsewhere"] if moved else []
+    try:
+        model = align(label_parts(raw, category), category)
+    except InputError as error:
+        raise InputError(f"{file}: not usable as {category.name}: {error}") from error
+    return replace(model, name=object_name(path)), notes
+
+
+def object_paths(folder: Path | str) -> list[Path]:
+    """The ``.urdf`` files or sub-folders of ``folder``, one an object, by name; or ``folder`` itself, if it is one.
+    Raises InputError where ``folder`` does not exist or holds no object at all."""
+    folder = Path(folder)
+    if not folder.exists():
+        raise InputError(f"{folder}: no such folder; give a folder of URDF models")
+    if folder.is_file() or (folder / partnet.URDF).is_file():
+        return [folder]
+    folders = (sub for sub in folder.iterdir() if sub.is_dir() and not sub.name.startswith("."))
+    found = sorted(folder.glob("*.urdf")) or sorted(folders)
+    if not found:
+        raise InputError(f"{folder}: no .urdf in it or in its sub-folders; give a folder of URDF models")
+    return found
+
+
+def _urdf_of(folder: Path) -> Path:
+    if (folder / partnet.URDF).is_file():
+        return folder / partnet.URDF
+    files = sorted(folder.glob("*.urdf"))
+    if len(files) != 1:
+        found = f"{len(files)} .urdf files" if files else "no .urdf file"
+        raise InputError(f"{folder}: {found}, expected one; give the file itself")
+    return files[0]
+
+
+def object_name(path: Path) -> str:
+    """An object is called like its folder, a lone file like itself."""
+    if path.name == partnet.URDF:
+        path = path.resolve().parent
+    return path.stem if path.suffix == ".urdf" else path.resolve().name

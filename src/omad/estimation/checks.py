@@ -1,0 +1,135 @@
+"""What to look at where a result is doubtful: each item says what is wrong, why that may be, and what to do."""
+
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from omad.objects.category import Category
+from omad.sensing.observation import Observation
+
+from .estimate import Estimate
+
+USUAL_SIZE = 2.5
+"""Diagonal of an object's cloud in category units; 1.5 to 4 in standard views."""
+DOUBTFUL = 0.07
+"""Expected keypoint error (geometric mean, category units; 0.03 is usual) above which the network is not to be
+trusted."""
+FEW_POINTS = 500
+"""Standard views, which networks are trained on, have at least so many."""
+HIGH_RESIDUAL = 0.07
+"""RMS distance of model and seen keypoints in category units."""
+ODD_SIZE = 4.0
+"""A cloud so many times larger or smaller than usual is none of the category at its size."""
+FACTORS = (0.001, 0.01, 0.1, 0.2, 5.0, 10.0, 100.0, 1000.0)
+"""By which depth scales are wrong: millimetres for metres, tenths of millimetres or 1/5000 m for millimetres ..."""
+CUT_OFF = 0.1
+"""Pixels at one border of the image from which on the object runs out of it, as a share of its width in pixels."""
+
+
+@dataclass(frozen=True)
+class Check:
+    """One item."""
+
+    name: str
+    what: str
+    """What is unusual, with numbers."""
+    why: str
+    """What it may come from."""
+    cure: str
+    """What to do."""
+
+    def __str__(self) -> str:
+        return f"{self.name}: {self.what}: {self.why}; {self.cure}"
+
+    def to_dict(self) -> dict[str, str]:
+        """For JSON."""
+        return asdict(self)
+
+
+def doubts(observation: Observation, estimate: Estimate, depth_scale: float | None = None) -> list[Check]:
+    """What is doubtful of an estimate; ``depth_scale`` is the one that the depth was read with, where known."""
+    category = estimate.category
+    return [
+        *size_doubts(observation, category, depth_scale),
+        *_view_doubts(observation),
+        *_fit_doubts(estimate),
+        *network_doubts(estimate.keypoint_std, category),
+    ]
+
+
+def size_doubts(observation: Observation, category: Category, depth_scale: float | None = None) -> Iterator[Check]:
+    """Where the cloud cannot be an object of the category at its size: a wrong depth scale, mostly."""
+    size = float(np.linalg.norm(np.ptp(observation.points, axis=0)))
+    usual = USUAL_SIZE * category.metres_per_unit
+    if usual / ODD_SIZE < size < ODD_SIZE * usual:
+        return
+    what = f"the cloud is {size:.3g} m across, of a {category.name} about {usual:.2g} m is usual"
+    depth, mask = observation.depth, observation.mask
+    factor = min(FACTORS, key=lambda factor: abs(np.log(size * factor / usual)))
+    if size > usual and depth is not None and mask is not None and mask.sum() >= (depth > 0).sum():
+        why = "the whole frame was taken for the object"
+        cure = "cut the object out with --mask, --box or --segment plane"
+    elif not usual / ODD_SIZE < size * factor < ODD_SIZE * usual:
+        why, cure = "the object may be badly cut out", "look at mask, box and depth image"
+    else:
+        units = {0.001: "millimetres read as metres", 1000.0: "metres read as millimetres"}
+        wrong = f"{factor:g} times too small" if factor > 1 else f"{1 / factor:g} times too large"
+        why = f"depth looks like {units.get(factor, f'lengths {wrong}')}"
+        told = f"multiply the depth scale by {factor:g}"
+        if depth_scale is not None:
+            told = f"--depth-scale {depth_scale * factor:g}"
+        cure = f"{told}, or another mask where more than the object is inside"
+    yield Check("size", what, why, cure)
+
+
+def _view_doubts(observation: Observation) -> Iterator[Check]:
+    count = len(observation.points)
+    if count < FEW_POINTS:
+        yield Check(
+            "points",
+            f"only {count} points are on the object, {FEW_POINTS} are usual at least",
+            "it is far away, mostly hidden, dark or shiny, or the mask is too small",
+            "go nearer, look from another side, or check mask and box",
+        )
+    mask = np.zeros((1, 1)) if observation.mask is None else observation.mask
+    borders = {"left": mask[:, 0], "right": mask[:, -1], "top": mask[0], "bottom": mask[-1]}
+    if cut := [name for name, border in borders.items() if border.sum() > CUT_OFF * np.sqrt(count)]:
+        yield Check(
+            "frame",
+            f"the object runs out of the image ({', '.join(cut)})",
+            "what lies outside is guessed from the category alone",
+            "move the camera back or aim at the object; where the background is meant, cut it off with --box",
+        )
+
+
+def _fit_doubts(estimate: Estimate) -> Iterator[Check]:
+    unit = estimate.category.metres_per_unit
+    if not estimate.converged:
+        yield Check(
+            "convergence",
+            "the fit did not converge",
+            "seen keypoints and shape model contradict each other",
+            "treat joint states as a guess; try another viewpoint or a better mask",
+        )
+    if not estimate.residual < HIGH_RESIDUAL * unit:
+        yield Check(
+            "residual",
+            f"model and seen keypoints are {1000 * estimate.residual:.1f} mm apart,"
+            f" under {1000 * HIGH_RESIDUAL * unit:.1f} mm is usual",
+            "other things may be inside the mask, or the object is unlike those of the category",
+            "look at estimate.html; tighten the mask, or train on such objects",
+        )
+
+
+def network_doubts(keypoint_std: np.ndarray, category: Category) -> Iterator[Check]:
+    """Where the network itself does not trust its keypoints: ``keypoint_std`` (M,) metres."""
+    unit, expected = category.metres_per_unit, float(np.exp(np.log(keypoint_std).mean()))
+    if not expected < DOUBTFUL * unit:
+        yield Check(
+            "network",
+            f"the network expects its keypoints to be {1000 * expected:.1f} mm off,"
+            f" under {1000 * DOUBTFUL * unit:.1f} mm is usual",
+            "this view may not show which side is the front, or the object is of another category or badly cut out",
+            "try another viewpoint, a better mask, or --gravity where the object stands upright",
+        )

@@ -1,0 +1,88 @@
+"""What is known of an object before it is looked at: held fixed while the rest is estimated."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from omad.common.errors import InputError
+from omad.geometry.rigid import rigid
+from omad.geometry.transforms import make_transform, so3_exp
+from omad.model.fitting.refinement import free_directions
+from omad.model.fitting.state import State
+from omad.objects.category import Category
+
+
+@dataclass(frozen=True)
+class Known:
+    """Knowledge that holds for every observation of a call. Leave out what is not known."""
+
+    beta: np.ndarray | None = None
+    """(D,) shape parameters, of the same object estimated earlier, say."""
+    joint_states: np.ndarray | None = None
+    """(J,) radians or metres; NaN for a joint whose state is not known."""
+    gravity: np.ndarray | None = None
+    """(3,) direction in the camera frame, for an object that stands upright."""
+
+    @property
+    def is_nothing(self) -> bool:
+        """Whether everything is left out."""
+        return self.beta is None and self.joint_states is None and self.gravity is None
+
+    def check(self, category: Category, basis_size: int) -> None:
+        """Raises InputError for a wrong shape."""
+        shapes = {"beta": (basis_size,), "joint_states": (len(category.joints),), "gravity": (3,)}
+        for name, shape in shapes.items():
+            value = getattr(self, name)
+            if value is not None and np.shape(value) != shape:
+                raise InputError(f"known {name}: shape {np.shape(value)}, expected {shape}")
+        if self.gravity is not None and not np.linalg.norm(self.gravity) > 0:
+            raise InputError("known gravity: a direction is needed, got a zero or NaN vector")
+
+    def apply_to(self, start: State, category: Category) -> State:
+        """``start`` (category units) with the known values in place of its own."""
+        beta, states, pose = start.beta, start.joint_states, start.T_camera_base
+        if self.beta is not None:
+            beta = torch.as_tensor(self.beta).to(beta).expand_as(beta).clone()
+        if self.joint_states is not None:
+            known = torch.as_tensor(np.asarray(self.joint_states) / category.state_units).to(states)
+            states = torch.where(known.isnan(), states, known)
+        if self.gravity is not None:
+            pose = _upright(pose, torch.as_tensor(np.asarray(self.gravity)).to(pose))
+        return State(beta, states, pose)
+
+    def free(self, category: Category, basis_size: int) -> Tensor:
+        """Directions (P, F) that are left to be estimated."""
+        held = False if self.joint_states is None else np.isfinite(self.joint_states).tolist()
+        return free_directions(len(category.joints), basis_size, self.beta is not None, held, self.gravity)
+
+
+@dataclass(frozen=True)
+class Near:
+    """Where an object that was seen before is expected, and what is believed of its shape. Camera frame, metres."""
+
+    T_camera_base: np.ndarray
+    """(4, 4): the network looks in this frame, and the least squares starts in it."""
+    joint_states: np.ndarray
+    """(J,) where the least squares starts."""
+    beta: np.ndarray
+    """(D,) mean of the belief, in place of the category's."""
+    beta_covariance: np.ndarray
+    """(D, D) of the belief."""
+
+    def start(self, category: Category, like: Tensor) -> State:
+        """In category units, a batch of one; dtype and device are those of ``like``."""
+        pose = rigid(self.T_camera_base[:3, :3], self.T_camera_base[:3, 3] / category.metres_per_unit)
+        values = (self.beta, np.asarray(self.joint_states) / category.state_units, pose)
+        return State(*(torch.as_tensor(value).to(like)[None] for value in values))
+
+
+def _upright(pose: Tensor, gravity: Tensor) -> Tensor:
+    """Turn each base (B, 4, 4) by the smallest rotation that brings its down direction to ``gravity``."""
+    down = -pose[:, :3, 1]
+    goal = (gravity / gravity.norm()).expand_as(down)
+    axis = torch.linalg.cross(down, goal, dim=-1)
+    sine, cosine = axis.norm(dim=-1, keepdim=True), (down * goal).sum(-1, keepdim=True)
+    turn = so3_exp(axis / sine.clamp(min=1e-9) * torch.atan2(sine, cosine))
+    return make_transform(turn @ pose[:, :3, :3], pose[:, :3, 3])

@@ -1,0 +1,1 @@
+"""How good it is: metrics, baselines, the paper's tables and figures, the demo."""

@@ -1,0 +1,1 @@
+"""What the paper compares with: A-NCSH, the Siamese network, Adam."""

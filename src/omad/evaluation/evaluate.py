@@ -1,0 +1,102 @@
+"""How well an estimator does on views with known truth: the numbers of ``omad eval pose``."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from omad.common.batches import batched, progress
+from omad.data.rendering.standard_views import View, observe_all
+from omad.estimation.estimate import Estimate
+from omad.estimation.estimator import Estimator
+from omad.objects.category import Category
+from omad.objects.pose import ObjectPose
+from omad.output.picture import figure, save
+
+from .metrics import PoseErrors, bootstrap_interval, missing_errors, pose_errors, summarise
+
+
+@dataclass(frozen=True)
+class ViewResult:
+    """One view's estimate and its errors."""
+
+    view: View
+    estimate: Estimate | None
+    """None where the view could not be estimated at all; it counts as missing."""
+    initial: PoseErrors
+    refined: PoseErrors
+
+
+def true_pose(view: View, category: Category) -> ObjectPose:
+    """Where the object of a view really is, in camera space."""
+    placed = (view.truth.axes, view.truth.pivots, view.states, view.T_camera_base)
+    tensors = (torch.as_tensor(values, dtype=torch.float64)[None] for values in placed)
+    return ObjectPose.at(category.metric_tree, *tensors).rows()[0]
+
+
+def evaluate(
+    estimator: Estimator, views: Iterable[View], total: int | None = None, batch: int = 64
+) -> list[ViewResult]:
+    """Estimate every view and measure the initial and the refined answer."""
+    return [result for some in batched(progress(views, total), batch) for result in _measure(estimator, some)]
+
+
+def _measure(estimator: Estimator, views: list[View]) -> list[ViewResult]:
+    category, observed = estimator.category, observe_all(views)
+    estimates = dict(zip(observed, estimator(list(observed.values())), strict=True))
+    results = []
+    for index, view in enumerate(views):
+        initial = refined = missing_errors(category)
+        if estimate := estimates.get(index):
+            truth, boxes = true_pose(view, category), view.truth.part_boxes
+            initial = pose_errors(estimate.initial_pose(), truth, boxes, category)
+            refined = pose_errors(estimate.pose(), truth, boxes, category)
+        results.append(ViewResult(view, estimate, initial, refined))
+    return results
+
+
+def summary(results: list[ViewResult], category: Category, source: str) -> dict[str, Any]:
+    """The promised JSON of ``omad eval pose`` as plain values (degrees where a key says so, else metres)."""
+    diagonals = np.array([r.view.truth.diagonal for r in results])
+    names = np.array([r.view.object for r in results])
+    times = [r.estimate.seconds for r in results if r.estimate]
+    refined = [r.refined for r in results]
+    by_object = []
+    for name in sorted(set(names)):
+        own = [errors for errors, whose in zip(refined, names, strict=True) if whose == name]
+        by_object.append({"object": name, "refined": summarise(own, diagonals[names == name], category)})
+    state = np.stack([errors.joint_state for errors in refined])
+    axis = np.degrees([errors.axis for errors in refined])
+    state = np.where(category.turning, np.degrees(state), state)
+    return {
+        "category": category.name,
+        "source": source,
+        "objects": len(by_object),
+        "views": len(results),
+        "failures": sum(errors.missing for errors in refined),
+        "metres_per_unit": category.metres_per_unit,
+        "initial": summarise([r.initial for r in results], diagonals, category),
+        "refined": summarise(refined, diagonals, category),
+        "interval": {
+            "joint_state_error": [bootstrap_interval(column, names) for column in state.T],
+            "axis_error_deg": [bootstrap_interval(column, names) for column in axis.T],
+        },
+        "by_object": by_object,
+        "seconds": {
+            key: float(np.median([t[key] for t in times])) if times else None for key in ("network", "refinement")
+        },
+    }
+
+
+def draw_worst(results: list[ViewResult], category: Category, folder: Path, count: int = 6) -> list[str]:
+    """Pictures of the views with the largest errors, worst first; returns their paths."""
+    drawn = [(r.view, r.estimate, r.refined) for r in results if r.estimate]
+    drawn.sort(key=lambda shown: -float(shown[2].axis.max() + shown[2].joint_state.max()))
+    paths = [folder / f"worst-{rank}.png" for rank in range(min(count, len(drawn)))]
+    for path, (view, estimate, errors) in zip(paths, drawn, strict=False):
+        title = f"{view.object}: axis {np.degrees(errors.axis.max()):.1f}° off"
+        save(figure(view.observation(), estimate, true_pose(view, category), title), path)
+    return [str(path) for path in paths]

@@ -1,0 +1,1 @@
+"""Mathematics without objects: transforms, kinematic trees, cameras and lenses, meshes, least squares."""

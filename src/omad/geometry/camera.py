@@ -1,0 +1,71 @@
+"""The camera: OpenCV axes (x right, y down, z forward), pixel centres at integers, a pinhole with or without a lens."""
+
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+
+from .lens import Distortion
+
+NEAREST = 1e-6
+"""Metres. Points nearer than this, and those behind the camera, are projected as if they were so far."""
+
+
+@dataclass(frozen=True)
+class Camera:
+    """Image size and pinhole intrinsics in pixels, and the lens where the image was not undistorted."""
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    distortion: Distortion | None = None
+
+    @property
+    def K(self) -> np.ndarray:
+        """(3, 3) intrinsic matrix."""
+        return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1]], dtype=np.float64)
+
+    @classmethod
+    def from_K(cls, K: np.ndarray, width: int, height: int, distortion: Distortion | None = None) -> Self:
+        return cls(width, height, float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2]), distortion)
+
+    @property
+    def pinhole(self) -> Self:
+        """The camera without its lens."""
+        return replace(self, distortion=None)
+
+    def project(self, points: np.ndarray) -> np.ndarray:
+        """Pixels (N, 2) column and row, of points (N, 3) in the camera frame."""
+        rays = points[:, :2] / np.maximum(points[:, 2:], NEAREST)
+        seen = rays if self.distortion is None else self.distortion.distort(rays)
+        return seen * (self.fx, self.fy) + (self.cx, self.cy)
+
+    def rays(self, pixels: np.ndarray) -> np.ndarray:
+        """Rays (N, 2), x / z and y / z, of pixels (N, 2) column and row; NaN where the lens shows none."""
+        seen = (pixels - (self.cx, self.cy)) / (self.fx, self.fy)
+        return seen if self.distortion is None else self.distortion.undistort(seen)
+
+    def backproject(self, pixels: np.ndarray, depth: np.ndarray) -> np.ndarray:
+        """Points (N, 3) that pixels (N, 2) column and row show at ``depth`` (N,); NaN where the lens shows none."""
+        return np.c_[self.rays(pixels), np.ones(len(pixels))] * depth[:, None]
+
+    def rectified(self, image: np.ndarray) -> np.ndarray:
+        """The image (H, W) as ``pinhole`` would see it: each pixel takes the nearest one, outside is 0."""
+        pixels = np.indices(image.shape)[::-1].reshape(2, -1).T
+        place = self.project(self.pinhole.backproject(pixels, np.ones(len(pixels))))
+        column, row = np.clip(np.nan_to_num(np.rint(place), nan=-1), -1, image.shape[::-1]).astype(int).T
+        return np.pad(image, 1)[row + 1, column + 1].reshape(image.shape)
+
+    def zoomed(self, factor: float, left: float = 0.0, top: float = 0.0, size: tuple[int, int] | None = None) -> Self:
+        """The camera whose image is this one's, cut at the pixel place (``left``, ``top``) and scaled by ``factor``;
+        ``size`` is its width and height, by default the whole image's."""
+        width, height = size or (round(self.width * factor), round(self.height * factor))
+        centre = (self.cx - left) * factor, (self.cy - top) * factor
+        return type(self)(width, height, self.fx * factor, self.fy * factor, *centre, self.distortion)
+
+
+STANDARD_CAMERA = Camera(640, 480, 600.0, 600.0, 319.5, 239.5)
+"""Camera of the standard views; its principal point is the image centre."""

@@ -1,0 +1,51 @@
+"""Rigid transforms of NumPy arrays: ``transforms`` has their kin for batches of tensors. ``T_a_b`` is a 4x4 matrix that
+takes coordinates in frame b to coordinates in frame a."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+
+def rigid(rotation: np.ndarray, translation: np.ndarray | Sequence[float]) -> np.ndarray:
+    """(4, 4) of a rotation (3, 3) and a translation (3,)."""
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = rotation, translation
+    return T
+
+
+def turned_about(rotation: np.ndarray, point: np.ndarray) -> np.ndarray:
+    """(4, 4) the rotation (3, 3) that leaves ``point`` (3,) where it is."""
+    return rigid(rotation, point - rotation @ point)
+
+
+def carry(T: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Points (..., 3) by T (4, 4)."""
+    return points @ T[:3, :3].T + T[:3, 3]
+
+
+def carry_each(T: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Points (N, 3), each by its own transform (N, 4, 4): ``T[part_of]``, say."""
+    return rotate_each(T, points) + T[:, :3, 3]
+
+
+def rotate_each(T: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+    """Directions (N, 3), each by the rotation of its own transform (N, 4, 4)."""
+    return (T[:, :3, :3] @ vectors[..., None])[..., 0]
+
+
+def across(axis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Two unit vectors at right angles to a unit ``axis`` (3,), right-handed with it; which ones is arbitrary."""
+    first = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
+    first /= np.linalg.norm(first)
+    return first, np.cross(axis, first)
+
+
+def box(points: np.ndarray) -> np.ndarray:
+    """(2, D) low and high corner of the axis-aligned box of points (N, D)."""
+    return np.stack([points.min(0), points.max(0)])
+
+
+def bounding_sphere(points: np.ndarray) -> tuple[np.ndarray, float]:
+    """Centre (3,) of the box of points (N, 3), and how far the farthest of them is from it."""
+    centre = box(points).sum(0) / 2
+    return centre, float(np.linalg.norm(points - centre, axis=1).max())

@@ -1,0 +1,37 @@
+"""Backbones by name, as the command line takes them. A new one is a file beside ``pointnet2`` and an entry here."""
+
+from dataclasses import asdict
+from typing import Any
+
+from omad.common.errors import InputError
+
+from .interface import BackboneConfig
+from .pointnet2 import PointNet2Config
+
+BACKBONES: dict[str, BackboneConfig] = {
+    "slim": PointNet2Config(),
+    "paper": PointNet2Config(
+        points=1024, centres=(512, 128), neighbours=(64, 64), widths=(128, 256, 512), dense=128, radii=(0.2, 0.4)
+    ),
+}
+"""``slim`` is fast on a CPU, ``paper`` is the paper's PointNet++."""
+SLIM = BACKBONES["slim"]
+
+
+def get_backbone(name: str) -> BackboneConfig:
+    """Raises InputError for a name that is not in ``BACKBONES``."""
+    if name not in BACKBONES:
+        raise InputError(f"--size {name}: no such backbone; choose one of {', '.join(BACKBONES)}")
+    return BACKBONES[name]
+
+
+def backbone_to_dict(config: BackboneConfig) -> dict[str, Any]:
+    """For a checkpoint's JSON."""
+    return {"kind": config.kind, **asdict(config)}
+
+
+def backbone_from_dict(values: dict[str, Any]) -> BackboneConfig:
+    """What ``backbone_to_dict`` wrote; early checkpoints, all of them PointNet++, tell no kind."""
+    sizes: dict[str, Any] = {name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}
+    kinds = {config.kind: type(config) for config in BACKBONES.values()}
+    return kinds[sizes.pop("kind", PointNet2Config.kind)](**sizes)

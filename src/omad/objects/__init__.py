@@ -1,0 +1,1 @@
+"""What an articulated object is: category specs, object models, poses, URDF."""

@@ -1,0 +1,194 @@
+"""Category specs. A category is data: no code elsewhere asks for its name. What cannot be is refused where it is made:
+a ValueError that begins with the field, as "keypoints: is 0; give ..."."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+
+from omad.common.decode import within
+from omad.geometry.joint_kinds import JointType, Motion, motion_of
+from omad.geometry.kinematics import KinematicTree
+
+RestRule = Literal["closed", "perpendicular", "tips together", "zero"]
+"""How geometry tells the rest state: the whole's box is smallest, the child is a quarter turn from lying flat on its
+parent, two long parts that cross at the joint point the same way, or it is the source's own zero."""
+SLIDING_REST_RULES: tuple[RestRule, ...] = ("closed", "zero")
+"""Those that make sense for a joint that does not turn."""
+
+
+@dataclass(frozen=True)
+class PartSpec:
+    """One part of a category."""
+
+    name: str
+    keypoints: int
+    """Number of keypoints on the part; even where the part is its own mirror image."""
+    mirror: int | None = None
+    """Index of the part that is this one's image in the plane x = 0 (itself, another, or None: no mirror)."""
+    aliases: tuple[str, ...] = ()
+    """Link and semantic names that foreign models use for this part; matched as lower-case substrings."""
+    sides: tuple[tuple[float, float], tuple[float, float], tuple[float, float]] | None = None
+    """Least and largest extent along x, y and z at rest, as shares of the whole object's diagonal: a foreign model
+    outside of them is of another kind."""
+
+    def __post_init__(self) -> None:
+        if self.keypoints < 1:
+            raise ValueError(f"keypoints: is {self.keypoints}; give a whole number from 1")
+        if any(not 0 <= least < most for least, most in self.sides or ()):
+            raise ValueError(f"sides: is {self.sides}; give ranges from 0 to 1, the least first")
+
+
+@dataclass(frozen=True)
+class JointSpec:
+    """Joint that links part ``index + 1`` to ``parent``; ``index`` is its place in ``Category.joints``."""
+
+    name: str
+    type: JointType
+    parent: int
+    axis: tuple[float, float, float]
+    """Direction in canonical space, signed as the category's state is."""
+    limits: tuple[float, float]
+    """Radians, or category units where the state is a length. Used where an object states none, and to draw views."""
+    reach: tuple[float, float, float] | None = None
+    """Roughly where the child reaches from the joint at rest: pivot to box centre. Tells foreign models' axes apart."""
+    side: tuple[float, float, float] | None = None
+    """Roughly where the child lies from its parent at rest: box centre to box centre."""
+    pitch: float | None = None
+    """Metres a turn that a joint which turns and slides advances along its axis, signed; no other joint has one."""
+    rest: RestRule = "closed"
+
+    def __post_init__(self) -> None:
+        for field, direction in (("axis", self.axis), ("reach", self.reach), ("side", self.side)):
+            if direction is not None and not any(direction):
+                raise ValueError(f"{field}: is {direction}, which has no direction; give another one")
+        if not self.limits[0] < self.limits[1]:
+            raise ValueError("limits: is an empty range; give the low end first, and a higher one")
+        try:
+            turns = self.motion.turns
+        except ValueError as error:
+            raise ValueError(f"pitch: is {self.pitch}, but {error}; give metres a turn") from error
+        rules = get_args(RestRule) if turns else SLIDING_REST_RULES
+        if self.rest not in rules:
+            raise ValueError(f"rest: is {self.rest!r}; give {' or '.join(rules)}")
+
+    @property
+    def motion(self) -> Motion:
+        """In metres."""
+        return motion_of(self.type, self.pitch)
+
+
+@dataclass(frozen=True)
+class ViewRange:
+    """How standard views look at a category, in radians (see ``omad.data.rendering.viewpoints``)."""
+
+    azimuth: float = math.pi / 2
+    """Uniform within plus or minus this of the front."""
+    elevation: tuple[float, float] = (math.radians(10), math.radians(70))
+    roll: float = math.radians(15)
+
+    def __post_init__(self) -> None:
+        if not 0 < self.azimuth <= math.pi:
+            raise ValueError(f"azimuth: is {math.degrees(self.azimuth):g}; give degrees above 0, up to 180")
+        low, high = map(math.degrees, self.elevation)
+        if not -90 <= low <= high <= 90:
+            raise ValueError(f"elevation: is {low:g} to {high:g}; stay within -90 and 90 degrees, the low end first")
+        if not 0 <= self.roll <= math.pi:
+            raise ValueError(f"roll: is {math.degrees(self.roll):g}; give degrees from 0 to 180")
+
+
+@dataclass(frozen=True)
+class Category:
+    """What the parts and joints of a kind of object are called and how they are signed."""
+
+    name: str
+    metres_per_unit: float
+    """One category unit in metres: about the radius of an object's bounding sphere."""
+    parts: tuple[PartSpec, ...]
+    joints: tuple[JointSpec, ...]
+    views: ViewRange = ViewRange()
+    basis_size: int = 10
+    """Numbers that beta has."""
+    swap_symmetry: bool = False
+    """The object turned half about z with its two parts swapped is the same object: either labelling is right."""
+    source_names: tuple[str, ...] = ()
+    """What data sets call the category besides ``name``: a model that says it is of another one is refused."""
+
+    def __post_init__(self) -> None:
+        check_unit(self.metres_per_unit)
+        if self.basis_size < 1:
+            raise ValueError(f"basis_size: is {self.basis_size}; give a whole number from 1")
+        if not self.joints or len(self.parts) != len(self.joints) + 1:
+            raise ValueError("parts: needs a base and at least one part that moves, each by a joint of its own")
+        for index, part in enumerate(self.parts):
+            with within(f"parts[{index}]."):
+                _check_unique(part, self.parts)
+                self._check_mirror(index, part)
+        for index, joint in enumerate(self.joints):
+            with within(f"parts[{index + 1}].joint."):
+                _check_unique(joint, self.joints)
+                if not 0 <= joint.parent <= index:
+                    raise ValueError(f"parent: is part {joint.parent}; name one before its child")
+        if self.swap_symmetry and len(self.parts) != 2:
+            raise ValueError(f"swap_symmetry: is for two parts, not {len(self.parts)}; remove it")
+
+    def _check_mirror(self, index: int, part: PartSpec) -> None:
+        """A mirror image has the same keypoints, and is mirrored back; halves of a part's own need an even number."""
+        if part.mirror is None:
+            return
+        if not 0 <= part.mirror < len(self.parts):
+            raise ValueError(f"mirror: is part {part.mirror}; give one of the {len(self.parts)}")
+        other = self.parts[part.mirror]
+        if other.mirror != index:
+            raise ValueError(f"mirror: is {other.name!r}, whose own mirror is another one; name them in each other")
+        if other.keypoints != part.keypoints:
+            raise ValueError(f"keypoints: differ from those of its mirror {other.name!r}")
+        if part.mirror == index and part.keypoints % 2:
+            raise ValueError(f"keypoints: are {part.keypoints} on a part that is its own mirror; use an even number")
+
+    @property
+    def tree(self) -> KinematicTree:
+        """In category units."""
+        return self.metric_tree.scaled(1 / self.metres_per_unit)
+
+    @property
+    def metric_tree(self) -> KinematicTree:
+        """In metres."""
+        return KinematicTree(tuple(j.parent for j in self.joints), tuple(j.motion for j in self.joints))
+
+    @property
+    def turning(self) -> tuple[bool, ...]:
+        """Per joint, whether its state is an angle and its axis has a place."""
+        return self.metric_tree.turning
+
+    @property
+    def state_units(self) -> np.ndarray:
+        """(J,) factors from states in category units to states in metres: 1 for angles."""
+        return np.array([joint.motion.state_unit(self.metres_per_unit) for joint in self.joints])
+
+    @property
+    def metric_limits(self) -> np.ndarray:
+        """(J, 2) radians or metres."""
+        return np.array([joint.limits for joint in self.joints]).reshape(-1, 2) * self.state_units[:, None]
+
+    @property
+    def num_keypoints(self) -> int:
+        return sum(part.keypoints for part in self.parts)
+
+    @property
+    def part_of_keypoint(self) -> tuple[int, ...]:
+        """Keypoints are grouped by part, base first."""
+        return tuple(index for index, part in enumerate(self.parts) for _ in range(part.keypoints))
+
+
+def check_unit(metres_per_unit: float) -> None:
+    """Raises ValueError for a length that nothing can be measured in."""
+    if not 0 < metres_per_unit < math.inf:
+        raise ValueError(f"metres_per_unit: is {metres_per_unit}; give a number above 0")
+
+
+def _check_unique(named: PartSpec | JointSpec, all: Sequence[PartSpec | JointSpec]) -> None:
+    if [each.name for each in all].count(named.name) > 1:
+        raise ValueError(f"name: {named.name!r} stands twice; rename one")

@@ -1,0 +1,178 @@
+"""Object models: part meshes in canonical space at rest, and the joints that move them."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+import torch
+import trimesh
+from scipy.spatial import KDTree
+
+from omad.geometry.joint_kinds import Motion
+from omad.geometry.kinematics import KinematicTree, part_transforms
+from omad.geometry.mesh import Mesh, triangle_normals
+from omad.geometry.rigid import box
+
+from .category import Category
+
+NEIGHBOURS = 10
+"""Of a surface point, that tell its normal and how much of the surface it stands for."""
+
+
+@dataclass(frozen=True)
+class SurfaceSamples:
+    """Points drawn uniformly by area from all parts of an object."""
+
+    points: np.ndarray
+    """(N, 3) float32 metres, canonical space at rest."""
+    normals: np.ndarray
+    """(N, 3) float32 unit, outward where the mesh is closed."""
+    labels: np.ndarray
+    """(N,) int64 part index."""
+
+
+def diagonal(part_boxes: np.ndarray) -> float:
+    """Diagonal in metres of the box around part boxes (K, 2, 3)."""
+    return float(np.linalg.norm(part_boxes[:, 1].max(0) - part_boxes[:, 0].min(0)))
+
+
+@dataclass(frozen=True)
+class ObjectModel:
+    """An articulated object in its category's canonical space (y up, z front, rest box centred on the origin)."""
+
+    name: str
+    category: str
+    part_names: tuple[str, ...]
+    parts: tuple[Mesh, ...]
+    joint_names: tuple[str, ...]
+    tree: KinematicTree
+    axes: np.ndarray
+    """(J, 3) float64 unit, canonical space."""
+    pivots: np.ndarray
+    """(J, 3) float64 metres, canonical space; any point (the origin) where the axis has no place."""
+    limits: np.ndarray
+    """(J, 2) float64 radians or metres, zero is the rest state."""
+
+    @classmethod
+    def of(
+        cls,
+        category: Category,
+        name: str,
+        parts: Iterable[Mesh],
+        axes: np.ndarray,
+        pivots: np.ndarray,
+        limits: np.ndarray | None = None,
+        motions: Iterable[Motion] | None = None,
+    ) -> Self:
+        """An object whose parts and joints are those of its category, as are limits and motions (metres) where it has
+        none of its own; fields as above."""
+        tree = category.metric_tree if motions is None else replace(category.metric_tree, motions=tuple(motions))
+        limits = category.metric_limits if limits is None else limits
+        links, joints = (tuple(each.name for each in specs) for specs in (category.parts, category.joints))
+        axes, pivots = np.asarray(axes), np.asarray(pivots)
+        return cls(name, category.name, links, tuple(parts), joints, tree, axes, pivots, limits)
+
+    def part_transforms(self, states: np.ndarray, T_camera_base: np.ndarray | None = None) -> np.ndarray:
+        """(K, 4, 4) canonical -> camera (or base, if no pose is given) for joint states (J,)."""
+        pose = np.eye(4) if T_camera_base is None else T_camera_base
+        batch = [torch.as_tensor(np.asarray(a, dtype=np.float64))[None] for a in (self.axes, self.pivots, states, pose)]
+        return part_transforms(self.tree, *batch)[0].numpy()
+
+    def posed(self, states: np.ndarray, T_camera_base: np.ndarray | None = None) -> tuple[Mesh, ...]:
+        """Every part where it is at joint states (J,)."""
+        placed = zip(self.parts, self.part_transforms(states, T_camera_base), strict=True)
+        return tuple(part.carried(T) for part, T in placed)
+
+    def posed_vertices(self, states: np.ndarray, T_camera_base: np.ndarray | None = None) -> list[np.ndarray]:
+        """Vertices of each part, (V, 3) each, at joint states (J,)."""
+        return [part.vertices for part in self.posed(states, T_camera_base)]
+
+    def face_parts(self) -> np.ndarray:
+        """(F,) uint8 part of every face of all parts together."""
+        return np.repeat(np.arange(len(self.parts), dtype=np.uint8), [len(part.faces) for part in self.parts])
+
+    def part_boxes(self) -> np.ndarray:
+        """(K, 2, 3) low and high corners of each part's box at rest."""
+        return np.stack([box(part.vertices) for part in self.parts])
+
+    @property
+    def diagonal(self) -> float:
+        """Diagonal of the whole object's rest box in metres."""
+        return diagonal(self.part_boxes())
+
+    @property
+    def closed(self) -> bool:
+        """Whether every part is a union of closed, outward-oriented surfaces."""
+        meshes = (trimesh.Trimesh(part.vertices, part.faces, process=False) for part in self.parts)
+        return all(mesh.is_watertight and mesh.volume > 0 for mesh in meshes)
+
+    def centred(self) -> Self:
+        """The same object with its rest box centred on the origin."""
+        centre = box(self.part_boxes().reshape(-1, 3)).sum(0) / 2
+        parts = tuple(part.warped(lambda vertices: vertices - centre) for part in self.parts)
+        pivots = np.where(np.array(self.tree.turning)[:, None], self.pivots - centre, 0.0)
+        return replace(self, parts=parts, pivots=pivots)
+
+    def surface_samples(self, count: int, rng: np.random.Generator) -> SurfaceSamples:
+        """``count`` points by area over all parts together."""
+        triangles = np.concatenate([part.triangles for part in self.parts])
+        normals = triangle_normals(triangles)
+        area = np.linalg.norm(normals, axis=1)
+        chosen = rng.choice(len(triangles), count, p=area / area.sum())
+        u, v = rng.random((2, count, 1))
+        flip = u + v > 1
+        u, v = np.where(flip, 1 - u, u), np.where(flip, 1 - v, v)
+        a, b, c = triangles[chosen].swapaxes(0, 1)
+        points = a + u * (b - a) + v * (c - a)
+        unit = normals[chosen] / area[chosen, None]
+        labels = self.face_parts()[chosen].astype(np.int64)
+        return SurfaceSamples(points.astype(np.float32), unit.astype(np.float32), labels)
+
+
+@dataclass(frozen=True)
+class PointObject:
+    """An articulated object of which only surface points are known: enough to train on, not to render."""
+
+    name: str
+    axes: np.ndarray
+    """(J, 3) unit, canonical space."""
+    pivots: np.ndarray
+    """(J, 3) metres."""
+    limits: np.ndarray
+    """(J, 2) radians or metres."""
+    surface: SurfaceSamples
+    """(N,) points in all; normals may point to either side."""
+    areas: np.ndarray
+    """(N,) shares of the surface that the points stand for."""
+    closed = False
+
+    @classmethod
+    def from_clouds(
+        cls, name: str, clouds: list[np.ndarray], axes: np.ndarray, pivots: np.ndarray, limits: np.ndarray
+    ) -> Self:
+        """From points (n, 3) of each part, ``NEIGHBOURS`` or more; parts may be sampled unequally densely."""
+        normals, areas = zip(*(_local_planes(cloud) for cloud in clouds), strict=True)
+        points, normal, area = (np.concatenate(each) for each in (clouds, normals, areas))
+        labels = np.repeat(np.arange(len(clouds)), [len(cloud) for cloud in clouds])
+        surface = SurfaceSamples(points.astype(np.float32), normal.astype(np.float32), labels)
+        return cls(name, axes, pivots, limits, surface, area / area.sum())
+
+    def surface_samples(self, count: int, rng: np.random.Generator) -> SurfaceSamples:
+        """``count`` of the points, by area over all parts together; none repeats before it must."""
+        order = rng.permutation(len(self.areas))
+        steps = (np.arange(count) + rng.random()) / count  # evenly through the points laid end to end by area
+        chosen = order[np.searchsorted(np.cumsum(self.areas[order]), steps).clip(max=len(order) - 1)]
+        return SurfaceSamples(self.surface.points[chosen], self.surface.normals[chosen], self.surface.labels[chosen])
+
+
+SampledObject = ObjectModel | PointObject
+"""What surfaces can be drawn from."""
+
+
+def _local_planes(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Unit normals (n, 3) of either sign, and the area (n,) that each point stands for, up to a common factor."""
+    distances, nearest = KDTree(points).query(points, NEIGHBOURS)
+    around = points[nearest] - points[nearest].mean(1, keepdims=True)
+    normals = np.linalg.eigh(around.transpose(0, 2, 1) @ around)[1][..., 0]
+    return normals, np.full(len(points), np.median(distances[:, -1]) ** 2)

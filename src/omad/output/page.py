@@ -1,0 +1,127 @@
+"""One self-contained HTML page an estimate: it opens from disk, needs no network, and its sliders move the object.
+``page.html`` beside this file is the page; this module fills in its one JSON object. Lengths are metres, angles
+radians, points in the camera frame unless they are called canonical."""
+
+import base64
+import io
+import json
+from dataclasses import asdict
+from importlib.resources import files as package_files
+from pathlib import Path
+from typing import Any
+
+import matplotlib.colors
+import numpy as np
+from PIL import Image
+
+from omad.common.files import write_text
+from omad.estimation.estimate import Estimate
+from omad.geometry.mesh import convex_hull
+from omad.objects.pose import ObjectPose
+from omad.sensing.observation import Observation
+
+from .picture import camera_around, part_colours, window
+
+MAX_POINTS = 4000
+"""Points of the cloud on a page at most: it stays under 200 kB."""
+MAX_IMAGE = 480
+"""Pixels along the longer side of the depth picture."""
+DATA = "__DATA__"
+"""Where the template takes its JSON."""
+
+
+def save_html(
+    observation: Observation, estimate: Estimate, path: str | Path, truth: ObjectPose | None = None, title: str = ""
+) -> None:
+    """Write the page. With ``truth`` its table shows true states beside the estimated ones."""
+    write_text(path, page_text(observation, estimate, truth, title))
+
+
+def page_text(observation: Observation, estimate: Estimate, truth: ObjectPose | None = None, title: str = "") -> str:
+    """The page as text. ``title`` may be any text: it is never read as HTML."""
+    template = package_files("omad.output").joinpath("page.html").read_text(encoding="utf-8")
+    text = json.dumps(page_data(observation, estimate, truth, title), separators=(",", ":"), allow_nan=False)
+    return template.replace(DATA, text.replace("<", "\\u003c"), 1)  # a "</script>" in a name must not end the script
+
+
+def page_data(
+    observation: Observation, estimate: Estimate, truth: ObjectPose | None = None, title: str = ""
+) -> dict[str, Any]:
+    """All that a page shows, as plain JSON values; what is not finite is null."""
+    category, model = estimate.category, estimate.object_model()
+    # at random: every n-th would draw stripes
+    drawn = np.sort(np.random.default_rng(0).permutation(len(observation.points))[:MAX_POINTS])
+    part_of, initial = np.array(category.part_of_keypoint), estimate.initial
+    parts = [
+        {"name": name, "colour": matplotlib.colors.to_hex(tuple(part_colours(k)))}
+        | {"canonical_vertices": _rounded(mesh.vertices, 5), "faces": mesh.faces.tolist()}
+        | {"initial_vertices": _rounded(before.vertices, 5), "initial_faces": before.faces.tolist()}
+        for k, (name, mesh) in enumerate(zip(model.part_names, model.parts, strict=True))
+        for before in [convex_hull(initial.keypoints[part_of == k])]
+    ]
+    joints = [
+        {"name": joint.name, "type": joint.type, **asdict(joint.unit_motion)}
+        | {"state": _rounded(joint.state, 9), "state_std": _rounded(joint.state_std, 6)}
+        | {"limits": _rounded(joint.limits, 6), "axis": _rounded(joint.axis, 6), "pivot": _rounded(joint.pivot, 5)}
+        | {"initial_state": _rounded(before.state, 6), "initial_axis": _rounded(before.axis, 6)}
+        | {"initial_pivot": _rounded(before.pivot, 5), "parent": category.tree.parents[j]}
+        | {"canonical_axis": _rounded(estimate.canonical_axes[j], 9)}
+        | {"canonical_pivot": _rounded(estimate.canonical_pivots[j], 7)}
+        | {"true_state": None if truth is None else _rounded(truth.states[j], 6)}
+        for j, (joint, before) in enumerate(zip(estimate.joints, initial.joints, strict=True))
+    ]
+    return {
+        "title": title or category.name,
+        "category": category.name,
+        "converged": estimate.converged,
+        "residual": _rounded(estimate.residual, 6),
+        "warnings": list(estimate.warnings),
+        "seconds": {name: _rounded(value, 4) for name, value in estimate.seconds.items()},
+        "picture": _picture(observation),
+        "cloud": _rounded(observation.points[drawn], 4),
+        "labels": estimate.part_labels[drawn].tolist(),
+        "points": len(observation.points),
+        "parts": parts,
+        "part_of_keypoint": part_of.tolist(),
+        "canonical_keypoints": _rounded(estimate.canonical_keypoints, 7),
+        "T_camera_base": _rounded(estimate.T_camera_base, 9),
+        "seen_keypoints": _rounded(estimate.observed_keypoints, 5),
+        "keypoint_std": _rounded(estimate.keypoint_std, 5),
+        "initial_keypoints": _rounded(initial.keypoints, 5),
+        "joints": joints,
+    }
+
+
+def _picture(observation: Observation) -> dict[str, Any]:
+    """The depth image around the object and how points project into it; of a bare cloud only the latter."""
+    camera = observation.camera or camera_around(observation.points)
+    left, right, top, bottom = window(camera, observation.points)
+    x1, y1, x2, y2 = map(int, (left, top, right + 1, bottom + 1))
+    if observation.depth is not None:  # its picture ends at the image
+        (x1, x2), (y1, y2) = np.clip((x1, x2), 0, camera.width), np.clip((y1, y2), 0, camera.height)
+    scale = MAX_IMAGE / max(x2 - x1, y2 - y1)
+    size = max(round((x2 - x1) * scale), 1), max(round((y2 - y1) * scale), 1)
+    # pixel centres are at integers, a canvas counts from the pixel's corner
+    canvas = camera.zoomed(scale, x1 - 0.5, y1 - 0.5, size)
+    shown = {key: getattr(canvas, key) for key in ("width", "height", "fx", "fy", "cx", "cy")}
+    depth = observation.depth
+    return {**shown, "source": None if depth is None else _depth_png(depth[y1:y2, x1:x2], *observation.depth_range)}
+
+
+def _depth_png(depth: np.ndarray, near: float, far: float) -> str:
+    """Depth (H, W) as a data URI: near is bright, what was not measured is white."""
+    share = np.clip((far - depth) / max(far - near, 1e-6), 0, 1)
+    image = Image.fromarray(np.where(depth > 0, np.rint(254 * share), 255).astype(np.uint8)).convert("P")
+    colours = np.rint(255 * matplotlib.colormaps["viridis"](np.linspace(0, 1, 255))[:, :3]).astype(np.uint8)
+    image.putpalette([*colours.ravel().tolist(), 255, 255, 255])
+    image.thumbnail((2 * MAX_IMAGE, 2 * MAX_IMAGE), Image.Resampling.NEAREST)
+    stored = io.BytesIO()
+    image.save(stored, "PNG", optimize=True)
+    return "data:image/png;base64," + base64.b64encode(stored.getvalue()).decode()
+
+
+def _rounded(values: Any, digits: int) -> Any:
+    """Plain numbers with so many decimals; null where there is none, or it is not finite."""
+    if np.ndim(values):
+        return [_rounded(value, digits) for value in values]
+    return None if values is None or not np.isfinite(values) else round(float(values), digits)

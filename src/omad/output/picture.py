@@ -1,0 +1,163 @@
+"""Pictures of estimates."""
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from omad.common.files import write_atomic
+from omad.data.rendering.rasteriser import NOTHING, Rendering, render
+from omad.estimation.estimate import Estimate, JointEstimate
+from omad.geometry.camera import NEAREST, STANDARD_CAMERA, Camera
+from omad.geometry.rigid import box, carry
+from omad.objects.pose import ObjectPose
+from omad.sensing.observation import Observation
+
+PART_COLOURS = np.array([[0.35, 0.6, 0.95], [1.0, 0.6, 0.25], [0.45, 0.8, 0.4], [0.85, 0.4, 0.75], [0.6, 0.6, 0.6]])
+MAX_DRAWN = 6000
+"""Points of a cloud that are drawn at most."""
+
+
+def reading(turns: bool) -> tuple[float, str]:
+    """How a person reads a joint's state: radians or metres of one unit, and what stands behind the number."""
+    return (math.radians(1), "°") if turns else (0.01, " cm")
+
+
+def part_colours(parts: np.ndarray | int) -> np.ndarray:
+    """(..., 3) colours of parts by their number, the same in every picture."""
+    return PART_COLOURS[np.asarray(parts) % len(PART_COLOURS)]
+
+
+def figure(observation: Observation, estimate: Estimate, truth: ObjectPose | None = None, title: str = "") -> Figure:
+    """Six panels: depth, what was seen (parts, keypoints, axes), the cloud from the side, and the estimated object
+    as it is and at both ends of its joints' travel. With ``truth`` the true axes are dotted."""
+    camera = observation.camera or camera_around(observation.points)
+    left, right, top, bottom = window(camera, observation.points)
+    fig, grid = blank_panels(2, 3, (15, 9.4))
+    panels = grid.ravel()
+    if observation.depth is None:
+        draw_points(panels[0], camera, observation.points, np.array([0.3, 0.3, 0.3]))
+        panels[0].set_title("cloud")
+    else:
+        depth, (near, far) = np.where(observation.depth > 0, observation.depth, np.nan), observation.depth_range
+        panels[0].imshow(depth, cmap="viridis_r", vmin=near, vmax=far + 1e-6)
+        panels[0].set_title("depth")
+
+    draw_points(panels[1], camera, observation.points, part_colours(estimate.part_labels))
+    draw_keypoints(panels[1], camera, estimate)
+    _draw_axes(panels[1], camera, estimate)
+    if truth is not None:
+        for axis, pivot in zip(truth.axes, truth.pivots, strict=True):
+            _draw_axis(panels[1], camera, axis_segment(axis, pivot, estimate.keypoints), "black", ":")
+    panels[1].set_title("parts, keypoints, joint axes" + (" (true: dotted)" if truth is not None else ""))
+
+    _draw_from_side(panels[2], observation.points, estimate)
+    panels[2].set_title("cloud and estimated object from the side")
+
+    model = estimate.object_model()
+    poses = np.array([(joint.state, *joint.limits) for joint in estimate.joints]).T
+    names = "estimated object", "joints at lower limit", "joints at upper limit"
+    for panel, name, states in zip(panels[3:], names, poses, strict=True):
+        panel.imshow(shaded(render(model, states, estimate.T_camera_base, camera)))
+        panel.set_title(name)
+        _draw_axes(panel, camera, estimate)
+    for panel in np.delete(panels, 2):
+        panel.set(xlim=(left, right), ylim=(bottom, top), aspect="equal")
+    fig.suptitle("\n".join(filter(None, [title, ", ".join(describe(joint) for joint in estimate.joints)])))
+    fig.tight_layout()
+    return fig
+
+
+def blank_panels(rows: int, columns: int, size: tuple[float, float]) -> tuple[Figure, np.ndarray]:
+    """A white figure of ``size`` inches and its panels (rows, columns), without axes."""
+    fig = Figure(figsize=size, facecolor="white")
+    panels = fig.subplots(rows, columns, squeeze=False)
+    for panel in panels.flat:
+        panel.set_axis_off()
+    return fig, panels
+
+
+def show(observation: Observation, estimate: Estimate, path: str | Path | None = None) -> Figure:
+    """Draw an estimate; write it to ``path`` (PNG) where one is given, and return the figure (notebooks display it)."""
+    fig = figure(observation, estimate)
+    if path is not None:
+        save(fig, path)
+    return fig
+
+
+def save(fig: Figure, path: str | Path) -> None:
+    """Write a PNG."""
+    write_atomic(path, lambda temporary: fig.savefig(temporary, dpi=80))
+
+
+def describe(joint: JointEstimate) -> str:
+    """A joint's state as a person reads it."""
+    per_unit, unit = reading(joint.pivot is not None)
+    return f"{joint.name} {joint.state / per_unit:.1f}{unit} ± {joint.state_std / per_unit:.1f}{unit}"
+
+
+def draw_points(panel: Axes, camera: Camera, points: np.ndarray, colours: np.ndarray, size: float = 1.5) -> None:
+    """Cloud (N, 3) in the image; one colour or (N, 3)."""
+    step = -(-len(points) // MAX_DRAWN)
+    kept = colours[::step] if colours.ndim == 2 else colours[None]
+    panel.scatter(*camera.project(points[::step]).T, s=size, c=kept, linewidths=0)
+
+
+def draw_keypoints(panel: Axes, camera: Camera, estimate: Estimate) -> None:
+    """Keypoints coloured by their index, so that the same place has the same colour on every object."""
+    u, v = camera.project(estimate.keypoints).T
+    panel.scatter(u, v, s=42, c=np.arange(len(u)), cmap="hsv", edgecolors="black", linewidths=0.6, zorder=3)
+
+
+def axis_segment(axis: np.ndarray, pivot: np.ndarray | None, around: np.ndarray) -> np.ndarray:
+    """(2, 3) ends of a joint's axis as it is drawn: as long as the points ``around`` (N, 3), and where they are."""
+    centre = around.mean(0)
+    half = 0.6 * np.ptp((around - centre) @ axis)
+    foot = centre if pivot is None else pivot + axis * (axis @ (centre - pivot))
+    return np.stack([foot - half * axis, foot + half * axis])
+
+
+def _draw_axes(panel: Axes, camera: Camera, estimate: Estimate) -> None:
+    for joint in estimate.joints:
+        _draw_axis(panel, camera, axis_segment(joint.axis, joint.pivot, estimate.keypoints), "crimson", "-")
+
+
+def _draw_axis(panel: Axes, camera: Camera, ends: np.ndarray, colour: str, style: str) -> None:
+    panel.plot(*camera.project(ends).T, style, color=colour, linewidth=2.5, zorder=4)
+
+
+def shaded(rendering: Rendering) -> np.ndarray:
+    """(H, W, 3) picture of a rendering: a colour a part, darker where surfaces turn away, white around."""
+    image = np.ones((*rendering.depth.shape, 3))
+    seen = rendering.labels != NOTHING
+    image[seen] = part_colours(rendering.labels[seen]) * (0.35 + 0.65 * rendering.cos_view[seen, None])
+    return image
+
+
+def _draw_from_side(panel: Axes, points: np.ndarray, estimate: Estimate) -> None:
+    """Cloud and model outlines along the object's own x axis, orthographically: depth errors show here."""
+    step = -(-len(points) // MAX_DRAWN)
+    _, y, z = carry(np.linalg.inv(estimate.T_camera_base), points[::step]).T
+    panel.scatter(z, y, s=1.5, c=part_colours(estimate.part_labels[::step]), linewidths=0)
+    for part, mesh in enumerate(estimate.object_model().posed(estimate.joint_states)):
+        loops = mesh.triangles[:, [0, 1, 2, 0]]
+        panel.plot(*loops[..., [2, 1]].transpose(2, 1, 0), color=0.6 * part_colours(part), linewidth=0.6)
+    panel.set_aspect("equal")
+
+
+def window(camera: Camera, points: np.ndarray) -> tuple[float, float, float, float]:
+    """Image region (left, right, top, bottom) around the object, with room for its open parts."""
+    pixels = camera.project(points)
+    x, y = box(pixels).sum(0) / 2
+    half = 0.85 * np.ptp(pixels, axis=0).max() + 1
+    return x - half, x + half, y - half, y + half
+
+
+def camera_around(points: np.ndarray) -> Camera:
+    """A camera for a bare cloud: it only serves to draw."""
+    widest = float(np.abs(points[:, :2] / np.maximum(points[:, 2:], NEAREST)).max())
+    scale = min(STANDARD_CAMERA.fx, 0.45 * STANDARD_CAMERA.height / max(widest, 1e-6))
+    return replace(STANDARD_CAMERA, fx=scale, fy=scale)

@@ -1,0 +1,34 @@
+"""ROS messages as JSON: sensor_msgs/JointState and tf2_msgs/TFMessage, field by field."""
+
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from omad.estimation.estimate import Estimate
+
+from .robot_urdf import CAMERA, link_frames
+
+
+def ros_messages(estimate: Estimate, stamp_ns: int = 0, camera_frame: str = CAMERA) -> dict[str, Any]:
+    """``{"joint_state": JointState, "tf": TFMessage}`` of plain Python values. ``stamp_ns``: nanoseconds, when the
+    image was taken. ``camera_frame`` is the parent of the base link; each other link hangs on its parent link, as in
+    the URDF. Metres, radians; quaternions x, y, z, w."""
+    stamp = {"sec": stamp_ns // 10**9, "nanosec": stamp_ns % 10**9}
+    names = [part.name for part in estimate.category.parts]
+    frames = link_frames(estimate)
+    transforms = [_transform(stamp, camera_frame, names[0], frames[0])]
+    for child, parent in enumerate(estimate.category.tree.parents, start=1):
+        relative = np.linalg.inv(frames[parent]) @ frames[child]
+        transforms.append(_transform(stamp, names[parent], names[child], relative))
+    states = {joint.name: float(joint.state) for joint in estimate.joints}
+    told = {"name": list(states), "position": list(states.values()), "velocity": [], "effort": []}
+    joint_state = {"header": {"stamp": stamp, "frame_id": camera_frame}} | told
+    return {"joint_state": joint_state, "tf": {"transforms": transforms}}
+
+
+def _transform(stamp: dict[str, int], parent: str, child: str, T: np.ndarray) -> dict[str, Any]:
+    quaternion = Rotation.from_matrix(T[:3, :3]).as_quat(canonical=True)
+    translation = dict(zip("xyz", T[:3, 3].tolist(), strict=True))
+    transform = {"translation": translation, "rotation": dict(zip("xyzw", quaternion.tolist(), strict=True))}
+    return {"header": {"stamp": stamp, "frame_id": parent}, "child_frame_id": child, "transform": transform}

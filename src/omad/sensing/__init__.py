@@ -1,0 +1,1 @@
+"""From files of one's own camera to an ``Observation``: the points of one object."""

@@ -1,0 +1,183 @@
+"""Cameras as people have them: intrinsics, lens distortion and the place of one camera before another, from files."""
+
+import json
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from omad.common.errors import InputError
+from omad.common.files import one_line
+from omad.geometry.camera import Camera
+from omad.geometry.lens import Distortion
+
+from .depth_files import read_array
+
+REALSENSE = ("none", "modified_brown_conrady", "inverse_brown_conrady", "ftheta", "brown_conrady", "kannala_brandt4")
+"""librealsense's models by number."""
+
+
+@dataclass(frozen=True)
+class CameraFile:
+    """What a camera's file says."""
+
+    K: np.ndarray
+    """(3, 3) pixels."""
+    distortion: Distortion | None = None
+    """None where there is none, or none is told."""
+    size: tuple[int, int] | None = None
+    """Width and height of the images that it is for, where told."""
+
+
+def read_camera(source: str | Path) -> CameraFile:
+    """Intrinsics, lens and image size from ``fx,fy,cx,cy`` or a file. Files: Open3D JSON (``intrinsic_matrix``,
+    column-major), JSON or YAML with ``fx, fy, cx, cy`` or librealsense's ``fx, fy, ppx, ppy`` (with ``model`` and
+    ``coeffs``), ROS CameraInfo YAML (``K`` or ``k``, with ``distortion_model`` and ``D`` or ``d``), NPY, or text
+    holding 3x3 or 4 numbers. Raises InputError for others."""
+    text = str(source)
+    if (numbers := _numbers(text)) is not None:
+        return CameraFile(_as_K(numbers, f"intrinsics {text!r}"))
+    path = Path(source)
+    if not path.is_file():
+        raise InputError(f"intrinsics {text!r}: neither fx,fy,cx,cy nor an existing file")
+    data = _read(path, "K")
+    if isinstance(data, np.ndarray):
+        return CameraFile(_as_K(data, str(path)))
+    K = _as_K(_find_intrinsics(data, path), str(path))
+    try:
+        return CameraFile(K, _find_distortion(data), _find_size(data))
+    except InputError as error:
+        raise InputError(f"{path}: {error}; undistort the images and give fx,fy,cx,cy, or --distortion") from error
+    except (TypeError, ValueError, KeyError, IndexError) as error:
+        cure = "give distortion_model and D, or model and coeffs"
+        raise InputError(f"{path}: its lens distortion is not readable ({one_line(error)}); {cure}") from error
+
+
+def read_intrinsics(source: str | Path) -> np.ndarray:
+    """(3, 3) pinhole K in pixels from all that ``read_camera`` reads."""
+    return read_camera(source).K
+
+
+def parse_distortion(text: str) -> Distortion | None:
+    """``none``, or ``[model:]k1,k2,p1,p2[,k3[,k4,k5,k6]]`` as in OpenCV: ``equidistant:...``. Raises InputError."""
+    if text.strip().lower() == "none":
+        return None
+    model, _, listed = text.rpartition(":")
+    numbers = _numbers(listed)
+    if numbers is None or (not model and len(numbers) not in (4, 5, 8)):
+        need = "k1,k2,p1,p2,k3 (4, 5 or 8 numbers as OpenCV orders them), equidistant:k1,k2,k3,k4, or none"
+        raise InputError(f"--distortion {text}: give {need}")
+    return Distortion(_model_name(model) or "plumb_bob", tuple(numbers.tolist()))
+
+
+def read_transform(source: str | Path, name: str) -> np.ndarray:
+    """(4, 4) rigid transform ``name`` from a file: 16 or 12 numbers row by row (text, NPY), or JSON or YAML with
+    ``name``, or with librealsense's ``rotation`` (9, column by column) and ``translation`` (metres). Raises InputError
+    for anything else, and where the rotation is none."""
+    path = Path(source)
+    if not path.is_file():
+        raise InputError(f"{name} {str(source)!r}: no such file; give one with a 4x4 matrix")
+    data = _read(path, name)
+    try:
+        if isinstance(data, np.ndarray):
+            matrix = data
+        elif "rotation" in data:
+            rotation = np.asarray(data["rotation"], dtype=np.float64)
+            # librealsense lists columns one after the other; a nested matrix is written row by row
+            rotation = rotation if rotation.ndim == 2 else rotation.reshape(3, 3).T
+            matrix = np.c_[rotation, np.asarray(data["translation"], dtype=np.float64)]
+        else:
+            matrix = np.asarray(data[name], dtype=np.float64)
+        T = np.vstack([matrix.reshape(-1, 4), [0, 0, 0, 1]])[:4]
+        if matrix.size not in (12, 16) or not np.isfinite(T).all() or not np.allclose(T[3], [0, 0, 0, 1]):
+            raise ValueError("no 4x4 matrix that ends in 0 0 0 1")
+        if not np.allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-3) or np.linalg.det(T[:3, :3]) < 0:
+            raise ValueError("its 3x3 part is no rotation")
+    except (TypeError, ValueError, KeyError) as error:
+        cure = f"give 4x4 numbers, JSON with {name}, or rotation and translation as librealsense writes them"
+        raise InputError(f"{path}: holds no {name} ({one_line(error)}); {cure}") from error
+    return T
+
+
+def _read(path: Path, key: str) -> Any:
+    """An array of numbers, or what JSON or YAML holds."""
+    if path.suffix.lower() in (".npy", ".npz"):
+        return read_array(path, key)
+    try:
+        content = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: not readable as text ({one_line(error)}); export it again") from error
+    if (numbers := _numbers(content)) is not None:
+        return numbers
+    try:
+        # YAML reads JSON too, but not the tabs that JSON allows; `rostopic echo` ends each message with a ---
+        return json.loads(content) if content.lstrip().startswith("{") else next(yaml.safe_load_all(content), None)
+    except (ValueError, yaml.YAMLError) as error:
+        raise InputError(f"{path}: neither JSON, YAML nor numbers ({one_line(error)})") from error
+
+
+def _find_intrinsics(data: Any, path: Path) -> np.ndarray:
+    """Row-major K or (fx, fy, cx, cy) out of the formats that people have."""
+    try:
+        if "intrinsic_matrix" in data:  # Open3D writes matrices column by column
+            return np.asarray(data["intrinsic_matrix"], dtype=np.float64).reshape(3, 3).T
+        for key in ("K", "k", "camera_matrix"):
+            if key in data:
+                return np.asarray(_listed(data[key]), dtype=np.float64)
+        centre = ("ppx", "ppy") if "ppx" in data else ("cx", "cy")
+        return np.array([data[key] for key in ("fx", "fy", *centre)], dtype=np.float64)
+    except (TypeError, ValueError, KeyError) as error:
+        known = "intrinsic_matrix (Open3D), fx, fy, ppx, ppy (librealsense) or K (ROS CameraInfo)"
+        raise InputError(f"{path}: holds no intrinsics; expected {known}") from error
+
+
+def _find_distortion(data: dict[str, Any]) -> Distortion | None:
+    """The lens that a file tells of; None for none, or for coefficients that are all zero."""
+    listed = next((data[key] for key in ("coeffs", "D", "d", "distortion_coefficients") if key in data), None)
+    coefficients = np.asarray([] if listed is None else _listed(listed), dtype=np.float64).ravel()
+    model = _model_name(data.get("model", data.get("distortion_model", "")))
+    # a fisheye lens without coefficients still is one
+    if model == "none" or (not coefficients.any() and model != "equidistant"):
+        return None
+    return Distortion(model or "plumb_bob", tuple(coefficients.tolist()))
+
+
+def _model_name(told: Any) -> str | None:
+    """As in ``lens.MODELS``; drivers write 'Inverse Brown Conrady', 'distortion.brown_conrady', or a number."""
+    if isinstance(told, int):
+        return REALSENSE[told]
+    name = str(told).strip().lower().removeprefix("rs2_").removeprefix("distortion").lstrip("._")
+    return {"fisheye": "equidistant"}.get(name, name.replace(" ", "_").replace("-", "_")) or None
+
+
+def _find_size(data: dict[str, Any]) -> tuple[int, int] | None:
+    for width, height in (("width", "height"), ("image_width", "image_height")):
+        if data.get(width) and data.get(height):  # a simulator may leave zeros
+            return int(data[width]), int(data[height])
+    return None
+
+
+def _listed(value: Any) -> Any:
+    """ROS calibration files keep a matrix as rows, cols and data."""
+    return value["data"] if isinstance(value, dict) else value
+
+
+def _as_K(numbers: np.ndarray, name: str) -> np.ndarray:
+    """(3, 3) from 4 numbers (fx, fy, cx, cy) or 9 row by row."""
+    if numbers.size not in (4, 9) or numbers.dtype.kind not in "iuf":
+        raise InputError(f"{name}: expected fx,fy,cx,cy or a 3x3 matrix, got {numbers.size} numbers")
+    numbers = numbers.astype(np.float64).ravel()
+    K = numbers.reshape(3, 3) if numbers.size == 9 else Camera(0, 0, *numbers).K
+    if not np.isfinite(K).all() or K[0, 0] <= 0 or K[1, 1] <= 0 or not np.allclose(K[2], [0, 0, 1]):
+        raise InputError(f"{name}: no pinhole matrix; expected [fx 0 cx; 0 fy cy; 0 0 1] in pixels, row by row")
+    return K
+
+
+def _numbers(text: str) -> np.ndarray | None:
+    """Numbers separated by commas, semicolons or space; None if there is anything else."""
+    words = text.translate(str.maketrans(",;[]", "    ")).split()
+    with suppress(ValueError):
+        return np.array([float(word) for word in words]) if words else None

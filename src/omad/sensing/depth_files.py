@@ -1,0 +1,162 @@
+"""Reading depth images, clouds and masks as people have them."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from PIL import Image
+
+from omad.common.errors import InputError
+from omad.common.files import one_line
+
+ARRAY_FORMATS = (".npy", ".npz")
+DEPTH_FORMATS = (".png", ".tif", ".tiff", *ARRAY_FORMATS)
+CLOUD_FORMATS = (".ply", ".pcd", ".xyz", ".txt", *ARRAY_FORMATS)
+MILLIMETRES = 1e-3
+"""Metres per stored integer of a depth image that does not say otherwise."""
+
+
+def read_depth(path: str | Path, depth_scale: float | None = None) -> np.ndarray:
+    """Depth image (H, W) float32 in metres; 0 and what is not finite mean no measurement. 16-bit PNG or TIFF, or an
+    integer array: stored integers times ``depth_scale`` metres, by default millimetres. A float array (NPY, NPZ with
+    one array or one named ``depth``): metres, times ``depth_scale`` if given. Raises InputError for a missing,
+    unreadable or 8-bit file and for a wrong shape."""
+    path = _existing(path, DEPTH_FORMATS, "depth image")
+    if depth_scale is not None and not (np.isfinite(depth_scale) and depth_scale > 0):
+        raise InputError(f"depth scale {depth_scale}: give metres per stored integer, 0.001 for millimetres")
+    stored = read_array(path, "depth") if path.suffix.lower() in ARRAY_FORMATS else read_image(path)
+    stored = stored[..., 0] if stored.ndim == 3 and stored.shape[2] == 1 else stored
+    if stored.ndim != 2 or stored.dtype == np.uint8:
+        cure = "(8-bit or colour images hold too few depth steps); export 16-bit single-channel depth"
+        raise InputError(f"{path}: {stored.dtype} of shape {stored.shape} is no depth image {cure}")
+    if stored.dtype.kind not in "iuf":
+        raise InputError(f"{path}: dtype {stored.dtype} is no depth; store integers or floats")
+    usual = 1.0 if stored.dtype.kind == "f" else MILLIMETRES
+    return (stored * np.float64(usual if depth_scale is None else depth_scale)).astype(np.float32)
+
+
+def read_mask(path: str | Path) -> np.ndarray:
+    """Mask (H, W) bool, true where the image or array is not zero in any colour channel (alpha is ignored)."""
+    path = _existing(path, DEPTH_FORMATS, "mask")
+    stored = read_array(path, "mask") if path.suffix.lower() in ARRAY_FORMATS else read_image(path, "RGB")
+    stored = stored.any(-1) if stored.ndim == 3 else stored
+    if stored.ndim != 2:
+        raise InputError(f"{path}: a mask needs shape (H, W), got {stored.shape}")
+    return stored != 0
+
+
+def is_cloud(path: str | Path) -> bool:
+    """Whether a file holds points rather than a depth image, by its extension; NPY and NPZ by what is in them."""
+    suffix = Path(path).suffix.lower()
+    if suffix not in ARRAY_FORMATS:
+        return suffix in CLOUD_FORMATS
+    try:
+        loaded = np.load(path, mmap_mode="r", allow_pickle=False)
+        if not isinstance(loaded, np.ndarray):
+            with loaded:
+                if "points" in loaded.files or "depth" in loaded.files:
+                    return "points" in loaded.files
+                loaded = loaded[loaded.files[0]]
+    except Exception:  # whoever reads it next says what is wrong
+        return suffix == ".npz"
+    columns = loaded.shape[-1] if loaded.ndim else 0
+    return columns == 3 if loaded.ndim == 3 else 3 <= columns < 10  # no depth image is so narrow
+
+
+def read_cloud(path: str | Path) -> np.ndarray:
+    """Points (N, 3) float64 in the file's own unit from PLY, PCD, XYZ or text, NPY or NPZ (array ``points``). Rows that
+    are not finite are kept (an observation drops them). Further columns (colours, normals) are ignored. Raises
+    InputError for a missing, unreadable or foreign file."""
+    path = _existing(path, CLOUD_FORMATS, "point cloud")
+    readers = {".ply": _read_ply, ".pcd": _read_pcd, ".xyz": _read_text, ".txt": _read_text}
+    with _readable(path, path.suffix[1:].upper()):
+        points = readers.get(path.suffix.lower(), lambda array: read_array(array, "points"))(path)
+    if points.ndim == 3 and points.shape[-1] >= 3:  # an organised cloud (H, W, 3)
+        points = points.reshape(-1, points.shape[-1])
+    if points.ndim != 2 or points.shape[1] < 3 or points.dtype.kind not in "iuf":
+        raise InputError(f"{path}: a cloud needs shape (N, 3), got {points.dtype} of shape {points.shape}")
+    return points[:, :3].astype(np.float64)
+
+
+def _existing(path: str | Path, formats: tuple[str, ...], kind: str) -> Path:
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"{path}: no such file; give the path of a {kind}")
+    if path.suffix.lower() not in formats:
+        raise InputError(f"{path}: unknown {kind} format {path.suffix!r}; known ones are {', '.join(formats)}")
+    return path
+
+
+def read_image(path: Path, mode: str | None = None) -> np.ndarray:
+    """An image file as it is stored, (H, W) or (H, W, channels); with ``mode``, palettes and alpha become that mode.
+    Raises InputError for a file that is not readable as an image."""
+    with _readable(path, "an image"), Image.open(path) as image:
+        return np.asarray(image.convert(mode) if mode and image.mode in ("P", "RGBA", "LA") else image)
+
+
+def read_array(path: Path, key: str) -> np.ndarray:
+    """The array of an NPY, or of an NPZ the one called ``key`` or the only one."""
+    with _readable(path, path.suffix[1:].upper()):
+        loaded = np.load(path, allow_pickle=False)
+        if isinstance(loaded, np.ndarray):
+            return loaded
+        with loaded:
+            names = loaded.files
+            if key not in names and len(names) != 1:
+                raise InputError(f"{path}: holds {', '.join(names) or 'nothing'}; name the array {key!r}")
+            return loaded[key if key in names else names[0]]
+
+
+@contextmanager
+def _readable(path: Path, kind: str) -> Iterator[None]:
+    """InputError in place of whatever readers raise for a damaged or foreign file, EOFError to zlib.error."""
+    try:
+        yield
+    except InputError:
+        raise
+    except Exception as error:
+        raise InputError(f"{path}: not readable as {kind} ({one_line(error)}); export it again") from error
+
+
+def _read_ply(path: Path) -> np.ndarray:
+    vertices = getattr(trimesh.load(path, process=False), "vertices", None)
+    if vertices is None:
+        raise InputError(f"{path}: holds no vertices; export a point cloud")
+    return np.asarray(vertices)
+
+
+def _read_text(path: Path) -> np.ndarray:
+    """One point a line, separated by space or commas; '#' starts a comment."""
+    lines = [line.replace(",", " ") for line in path.read_text(encoding="utf-8").splitlines()]
+    if not any(line.split("#")[0].strip() for line in lines):  # loadtxt would warn on stderr and go on
+        raise InputError(f"{path}: holds no points; give lines of x y z")
+    return np.loadtxt(lines, ndmin=2)
+
+
+def _read_pcd(path: Path) -> np.ndarray:
+    """x, y, z of a PCD file, ascii, binary or binary_compressed."""
+    data = path.read_bytes()
+    header: dict[str, list[str]] = {}
+    start = 0
+    while "DATA" not in header:
+        end = data.index(b"\n", start)
+        words = data[start:end].decode("ascii").split()
+        if words and not words[0].startswith("#"):
+            header[words[0].upper()] = words[1:]
+        start = end + 1
+    names, encoding = header["FIELDS"], header["DATA"][0].lower()
+    counts = [int(c) for c in header.get("COUNT", ["1"] * len(names))]
+    points = int(header["WIDTH"][0]) * int(header["HEIGHT"][0])
+    place = [names.index(axis) for axis in "xyz"]
+    if encoding == "ascii":
+        table = np.loadtxt(data[start:].decode("ascii").splitlines(), ndmin=2)
+        return table[:points, np.cumsum([0] + counts)[place]]
+    if encoding == "binary":
+        # padding fields share the name '_', so fields are told apart by index
+        fields = enumerate(zip(header["TYPE"], header["SIZE"], counts, strict=True))
+        record = np.dtype([(f"f{i}", f"<{kind.lower()}{size}", (count,)) for i, (kind, size, count) in fields])
+        table = np.frombuffer(data, record, points, start)
+        return np.concatenate([table[f"f{i}"] for i in place], 1).astype(np.float64)
+    raise InputError(f"{path}: PCD encoding {encoding!r} is not supported; save it as ascii or binary")

@@ -1,0 +1,38 @@
+"""How depth images and clouds are to be read, as it is written on a command line. Imports nothing that takes long."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+
+@dataclass(frozen=True)
+class InputOptions:
+    """How depth images and clouds are read."""
+
+    intrinsics: str | None = None
+    """Of the depth camera: fx,fy,cx,cy or a file (Open3D or RealSense JSON, ROS YAML, 3x3 text). A lens that the file
+    tells of is undone."""
+    mask: Path | None = None
+    """Image, non-zero where the object is; or a folder with a mask for each input, of the same name."""
+    box: str | None = None
+    """x1,y1,x2,y2 in pixels around the object, half-open; in every image."""
+    segment: Literal["plane"] | None = None
+    """plane: take away the dominant plane and keep the largest thing on it (tens of milliseconds an image)."""
+    depth_scale: float | None = None
+    """Metres per stored number; default 0.001 for integer images, 1 for floats and clouds."""
+
+
+@dataclass(frozen=True)
+class FrameOptions:
+    """Frames of one's own camera as they come: a lens, a mask drawn in the colour image, stray points."""
+
+    distortion: str | None = None
+    """The depth camera's lens in place of what the file of --intrinsics tells: k1,k2,p1,p2,k3 as OpenCV orders them,
+    equidistant:k1,k2,k3,k4, or none for images that are undistorted already."""
+    color_intrinsics: str | None = None
+    """As --intrinsics, of the colour camera: --mask and --box then belong to its image, and depth stays unaligned."""
+    color_extrinsics: Path | None = None
+    """T_color_depth, depth camera to colour camera in metres: 4x4 text or NPY, or JSON with rotation and translation
+    as librealsense writes them."""
+    drop_flying: bool = False
+    """Leave out stray points that fly between fore- and background."""

@@ -1,0 +1,214 @@
+"""What the estimator sees: the points of one object in the camera frame, from a depth image or a cloud."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal, Self
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from omad.common.arrays import as_numpy
+from omad.common.errors import InputError, NothingSeen
+from omad.geometry.camera import Camera
+from omad.geometry.lens import Distortion
+
+from .segmentation import RIVAL, segment_on_plane
+
+MIN_POINTS = 50
+FAR = 100.0
+"""Metres. A scene whose median distance is beyond this was stored in millimetres."""
+NEIGHBOURS = 8
+"""Of a point, to tell whether it flies alone."""
+
+Segmentation = Literal["plane"]
+
+
+@dataclass(frozen=True)
+class Observation:
+    """One object as seen by one camera."""
+
+    points: np.ndarray
+    """(N, 3) float32 metres, camera frame (x right, y down, z forward)."""
+    depth: np.ndarray | None = None
+    """(H, W) float32 metres of the whole frame, 0 = no measurement; None for a bare cloud."""
+    camera: Camera | None = None
+    pixels: np.ndarray | None = None
+    """(N, 2) int column and row of each point."""
+    mask: np.ndarray | None = None
+    """(H, W) bool, the pixels that became points."""
+    warnings: tuple[str, ...] = ()
+    """What a person should know before trusting the result."""
+
+    @classmethod
+    def from_depth(
+        cls,
+        depth_m: Any,
+        K: Any,
+        mask: Any = None,
+        box: Sequence[float] | None = None,
+        segment: Segmentation | None = None,
+        drop_flying: bool = False,
+        distortion: Distortion | None = None,
+    ) -> Self:
+        """Back-project a depth image (H, W) of floats in metres; 0, negative, NaN and infinite mean no measurement.
+        NumPy arrays and torch tensors of any device are taken alike.
+
+        Which pixels are the object's: ``mask`` (H, W), non-zero inside; ``box`` (x1, y1, x2, y2) pixels, half-open;
+        ``segment="plane"`` takes away table, floor and walls and keeps the largest thing left. They combine; with none
+        of them every measured pixel counts. ``drop_flying`` removes stray points between fore- and background.
+
+        ``K``: (3, 3) matrix, (fx, fy, cx, cy) in pixels, or a ``Camera``; ``distortion``: the lens, where the image was
+        not undistorted. Points then lie on the pixels' true rays, and ``depth``, ``mask`` and ``pixels`` are those of
+        the undistorted image, into which points project with K alone. Raises InputError for input that cannot be right,
+        and for fewer than 50 points."""
+        depth = _check_depth(depth_m)
+        camera = _check_camera(K, depth.shape)
+        camera = camera if distortion is None else replace(camera, distortion=distortion)
+        chosen = (depth > 0) & region_of(depth.shape, mask, box)
+        if (count := np.count_nonzero(chosen)) < MIN_POINTS:
+            lie = f"depth: {count} of {np.count_nonzero(depth)} measured pixels lie inside mask and box"
+            raise NothingSeen(f"{lie}, at least {MIN_POINTS} are needed; check mask, box and the camera's range")
+        # a table is found in the whole frame even where the box leaves little of it
+        rows, columns = np.nonzero(chosen if segment is None else depth)
+        pixels = np.stack([columns, rows], 1)
+        points = camera.backproject(pixels, depth[rows, columns].astype(np.float64))
+        seen = np.nonzero(np.isfinite(points).all(1))[0]
+        kept, warnings = _select(points[seen], segment, drop_flying, chosen[rows[seen], columns[seen]])
+        kept = seen[kept]
+        points, pixels, chosen = points[kept], pixels[kept], np.zeros(depth.shape, dtype=bool)
+        chosen[rows[kept], columns[kept]] = True
+        if camera.distortion is not None:
+            depth, chosen, camera = camera.rectified(depth), camera.rectified(chosen), camera.pinhole
+            pixels = np.rint(camera.project(points)).astype(int)
+        return cls(points.astype(np.float32), depth, camera, pixels, chosen, _doubts(camera) + warnings)
+
+    @property
+    def depth_range(self) -> tuple[float, float]:
+        """Metres along z between which nearly all points lie, for pictures."""
+        near, far = np.percentile(self.points[:, 2], [1, 99])
+        return float(near), float(far)
+
+    @classmethod
+    def from_points(cls, points: Any, segment: Segmentation | None = None, drop_flying: bool = False) -> Self:
+        """A cloud (N, 3) in metres, camera frame; rows that are not finite or all zero mean no measurement. Raises
+        InputError for a wrong shape, millimetres, and for fewer than 50 points."""
+        cloud = _as_floats(points, "points")
+        if cloud.ndim != 2 or cloud.shape[1] != 3:
+            raise InputError(f"points: expected shape (N, 3), got {cloud.shape}")
+        cloud = cloud[np.isfinite(cloud).all(1) & cloud.any(1)]
+        if len(cloud) < MIN_POINTS:
+            raise NothingSeen(f"points: {len(cloud)} valid points, at least {MIN_POINTS} are needed")
+        _check_metres(np.linalg.norm(cloud, axis=1), "points")
+        kept, warnings = _select(cloud, segment, drop_flying)
+        if (behind := float((cloud[kept, 2] <= 0).mean())) > 0:
+            cure = "the cloud should be in the camera frame, z forward"
+            warnings += (f"{behind:.0%} of the points lie behind the camera: {cure}",)
+        return cls(cloud[kept].astype(np.float32), warnings=warnings)
+
+
+def _as_floats(values: Any, name: str) -> np.ndarray:
+    try:
+        array = as_numpy(values)
+    except (TypeError, ValueError, RuntimeError) as error:  # ragged lists
+        raise InputError(f"{name}: cannot be read as an array; pass NumPy numbers") from error
+    if array.dtype.kind not in "iuf":
+        raise InputError(f"{name}: dtype {array.dtype} is not numeric; pass floats in metres")
+    return array.astype(np.float64)
+
+
+def _check_depth(depth_m: Any) -> np.ndarray:
+    """(H, W) float32 with every kind of missing measurement turned into 0."""
+    depth = _as_floats(depth_m, "depth")
+    if depth.ndim != 2:
+        raise InputError(f"depth: expected one channel of shape (H, W), got shape {depth.shape}")
+    depth = np.where(np.isfinite(depth) & (depth > 0), depth, 0.0)
+    if not depth.any():
+        raise NothingSeen("depth: no pixel holds a measurement (all are zero or NaN); check the camera and the file")
+    _check_metres(depth[depth > 0], "depth")
+    if as_numpy(depth_m).dtype.kind in "iu":
+        raise InputError("depth: integers cannot be metres; multiply by the depth scale first (0.001 for millimetres)")
+    return depth.astype(np.float32)
+
+
+def _check_metres(distances: np.ndarray, name: str) -> None:
+    if (median := np.median(distances)) > FAR:
+        cure = "metres are expected; multiply by 0.001 (on the command line: --depth-scale 0.001)"
+        raise InputError(f"{name}: median distance {median:.0f} looks like millimetres, {cure}")
+
+
+def _check_camera(K: Any, shape: tuple[int, ...]) -> Camera:
+    height, width = shape
+    if isinstance(K, Camera):
+        if (K.height, K.width) != (height, width):
+            raise InputError(f"depth: is {width}x{height} but its camera {K.width}x{K.height}; use the image's own")
+        return K
+    if K is None:
+        raise InputError("intrinsics: none given; pass K as a 3x3 matrix or (fx, fy, cx, cy) in pixels")
+    values = _as_floats(K, "intrinsics")
+    values = Camera(width, height, *values).K if values.shape == (4,) else values
+    if values.shape != (3, 3):
+        raise InputError(f"intrinsics: expected a 3x3 matrix or (fx, fy, cx, cy), got shape {values.shape}")
+    if not np.isfinite(values).all() or values[0, 0] <= 0 or values[1, 1] <= 0:
+        raise InputError(f"intrinsics: focal lengths {values[0, 0]}, {values[1, 1]} must be positive pixels")
+    return Camera.from_K(values, width, height)
+
+
+def region_of(shape: tuple[int, ...], mask: Any, box: Sequence[float] | None) -> np.ndarray:
+    """(H, W) bool of mask and box together."""
+    height, width = shape
+    region = np.ones(shape, dtype=bool)
+    if mask is not None:
+        mask = as_numpy(mask)
+        if mask.shape != shape:
+            raise InputError(f"mask: shape {mask.shape} differs from the depth image's {shape}; resize it to that")
+        region &= mask != 0
+    if box is not None:
+        corners = np.asarray(box, dtype=np.float64).ravel()
+        if corners.shape != (4,) or not np.isfinite(corners).all():
+            raise InputError(f"box: expected x1, y1, x2, y2 in pixels, got {box}")
+        x1, y1, x2, y2 = np.rint(corners).astype(int)
+        if x1 >= x2 or y1 >= y2:
+            raise InputError(f"box: x1 < x2 and y1 < y2 are needed, got {x1},{y1},{x2},{y2}")
+        if x1 >= width or y1 >= height or x2 <= 0 or y2 <= 0:
+            raise InputError(f"box: {x1},{y1},{x2},{y2} lies outside the {width}x{height} image")
+        rows, columns = np.ogrid[:height, :width]
+        region &= (x1 <= columns) & (columns < x2) & (y1 <= rows) & (rows < y2)
+    return region
+
+
+def _select(
+    points: np.ndarray, segment: str | None, drop_flying: bool, inside: np.ndarray | None = None
+) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Indices of the object's points, and warnings; ``inside`` (N,) bool is where a segment may lie."""
+    kept, warnings = np.arange(len(points)), ()
+    if segment is not None:
+        if segment != "plane":
+            raise InputError(f"segment: unknown way {segment!r}; use 'plane', or give a mask or a box")
+        found = segment_on_plane(points, inside)
+        kept = np.nonzero(found.selected)[0]
+        if not len(found.planes):
+            warnings += ("no table, floor or wall was found; the largest connected thing was taken",)
+        if found.rival > RIVAL:
+            warnings += ("another thing of similar size stands beside the one chosen; give a box or a mask",)
+    if drop_flying and len(kept) > NEIGHBOURS:
+        kept = kept[~_flying(points[kept])]
+    if len(kept) < MIN_POINTS:
+        need = f"{MIN_POINTS} are needed; give a mask or a box"
+        raise NothingSeen(f"segment: only {len(kept)} of {len(points)} points are left, {need}")
+    return kept, warnings
+
+
+def _flying(points: np.ndarray) -> np.ndarray:
+    """(N,) bool, points much lonelier than the rest: mean neighbour distance over 3 robust deviations high. Distances
+    are taken relative to the range, because the spacing of a camera's points grows with it."""
+    distances = KDTree(points).query(points, NEIGHBOURS + 1)[0][:, 1:].mean(1) / np.linalg.norm(points, axis=1)
+    median = np.median(distances)
+    return distances > median + 3 * 1.4826 * np.median(np.abs(distances - median)) + median
+
+
+def _doubts(camera: Camera) -> tuple[str, ...]:
+    """Intrinsics of another image size are the commonest mistake that nothing else shows."""
+    if max(abs(camera.cx / (camera.width - 1) - 0.5), abs(camera.cy / (camera.height - 1) - 0.5)) <= 0.25:
+        return ()
+    image = f"{camera.width}x{camera.height} image: are the intrinsics those of this image?"
+    return (f"principal point ({camera.cx:.0f}, {camera.cy:.0f}) is far from the middle of the {image}",)

@@ -1,1 +1,0 @@
-"""Where object models come from."""

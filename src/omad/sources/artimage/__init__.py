@@ -1,8 +1,0 @@
-"""ArtImage, as its authors released it: images with truth, objects as surface points, and a writer of the same."""
-
-from .check import misfit
-from .images import ArtImage, Broken, open_artimage
-from .layout import is_artimage
-from .writer import write_artimage
-
-__all__ = ["ArtImage", "Broken", "is_artimage", "misfit", "open_artimage", "write_artimage"]

@@ -1,0 +1,78 @@
+"""Training losses, pure functions. B objects, M keypoints, N points, K parts; lengths in category units."""
+
+import math
+from functools import partial
+
+import torch
+from torch import Tensor
+from torch.nn.functional import smooth_l1_loss
+
+from omad.geometry.transforms import point_to_line
+from omad.model.priornet import part_extents
+
+
+def masked_nearest(a: Tensor, b: Tensor, allowed: Tensor) -> Tensor:
+    """Distance of each point of ``a`` (B, P, 3) to its nearest allowed point of ``b`` (B, Q, 3) -> (B, P). ``allowed``
+    broadcasts to (B, P, Q); a point with no allowed partner gets 0."""
+    with torch.no_grad():  # the search is a matrix product; the distance itself is exact and differentiable
+        squared = b.square().sum(-1)[:, None] - 2 * a @ b.mT
+        index = squared.masked_fill_(~allowed, torch.inf).argmin(-1)
+        found = allowed.expand(squared.shape).gather(-1, index[..., None]).squeeze(-1)
+    partner = b.gather(1, index[..., None].expand(-1, -1, 3))
+    distance = ((a - partner).square().sum(-1) + 1e-12).sqrt()
+    return torch.where(found, distance, torch.zeros_like(distance))
+
+
+def part_chamfer(a: Tensor, b: Tensor, part_of: Tensor) -> Tensor:
+    """Symmetric chamfer distance between keypoint sets (B, M, 3) of the same parts ``part_of`` (M,)."""
+    allowed = part_of[:, None] == part_of[None]
+    return masked_nearest(a, b, allowed).mean() + masked_nearest(b, a, allowed).mean()
+
+
+def surface_loss(keypoints: Tensor, part_of: Tensor, points: Tensor, labels: Tensor) -> Tensor:
+    """Mean distance of keypoints (B, M, 3) to the cloud (B, N, 3) of their own part, one-sided."""
+    return masked_nearest(keypoints, points, part_of[None, :, None] == labels[:, None]).mean()
+
+
+def coverage_loss(keypoints: Tensor, part_of: Tensor, low: Tensor, high: Tensor, beta: float = 0.1) -> Tensor:
+    """Keypoints of a part should span its box (``low``, ``high``: (B, K, 3)); plain and relative form averaged."""
+    parts = torch.arange(low.shape[1], device=part_of.device)
+    low_k, high_k = part_extents(keypoints, part_of[None] == parts[:, None])
+    size = (high - low).clamp(min=0.02)
+    size_k = (high_k - low_k).clamp(min=1e-3)
+    off = partial(smooth_l1_loss, beta=beta)
+    plain = off(high_k, high) + off(low_k, low)
+    relative = off(high_k / size, high / size) + off(low_k / size, low / size) + off(size_k.log(), size.log())
+    return (plain + relative) / 2
+
+
+def separation_loss(keypoints: Tensor, part_of: Tensor, low: Tensor, high: Tensor, share: float = 1 / 8) -> Tensor:
+    """Hinge: keypoints of a part closer together than a ``share`` of the part's box diagonal."""
+    margin = (share * (high - low).norm(dim=-1))[:, part_of]
+    pairs = (part_of[:, None] == part_of[None]) & ~torch.eye(len(part_of), dtype=torch.bool, device=part_of.device)
+    squared = (keypoints[:, :, None] - keypoints[:, None]).square().sum(-1)
+    gap = (margin[..., None] - (squared + 1e-12).sqrt()).clamp(min=0)  # a finite gradient at zero
+    return (gap * pairs).sum((1, 2)).mean() / pairs.sum()
+
+
+def joint_loss(axes: Tensor, pivots: Tensor, true_axes: Tensor, true_pivots: Tensor, turning: Tensor) -> Tensor:
+    """Pivot's distance from the true axis where ``turning`` (J,) + half of 1 - cos between axes, all (B, J, 3)."""
+    distance = point_to_line(pivots, true_axes, true_pivots) * turning
+    return (distance + 0.5 * (1 - (axes * true_axes).sum(-1))).mean()
+
+
+def quaternion_loss(q: Tensor, true_q: Tensor) -> Tensor:
+    """1 - (q . q*)^2 for unit quaternions (B, 4): blind to the double cover's sign."""
+    return (1 - (q * true_q).sum(-1).square()).mean()
+
+
+def state_loss(states: Tensor, true_states: Tensor, turning: Tensor) -> Tensor:
+    """Squared joint-state error (B, J); angles as a share of pi, lengths in category units."""
+    error = states - true_states
+    return torch.where(turning, error / math.pi, error).square().mean()
+
+
+def confidence_loss(distance: Tensor, log_sigma: Tensor) -> Tensor:
+    """Negative log-likelihood of keypoint distances (B, M) under an isotropic 3-D Gaussian of spread exp(log_sigma).
+    The distance is taken as given, so that confidence is learned without loosening the keypoints."""
+    return (3 * log_sigma + 0.5 * distance.detach().square() * (-2 * log_sigma).exp()).mean()

@@ -1,0 +1,258 @@
+"""The catalogue: exact search is exact, the file is whole or not there, another prior's query is refused."""
+
+import importlib.util
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from helpers.categories import LAPTOP
+from omad.applications.retrieval.index import Entry, ShapeIndex
+from omad.applications.retrieval.search import ExactSearch
+from omad.applications.retrieval.signature import Signature, Space, fuse, prior_fingerprint
+from omad.common.errors import InputError
+from omad.model.prior import OmadPrior
+
+SIZE = LAPTOP.basis_size
+
+
+def prior(seed: int = 0) -> OmadPrior:
+    return OmadPrior(LAPTOP, generator=torch.Generator().manual_seed(seed))
+
+
+def signatures(betas: np.ndarray, seed: int = 0) -> list[Signature]:
+    made = prior_fingerprint(prior(seed), LAPTOP)
+    return [Signature(made, beta) for beta in betas]
+
+
+def filled(count: int = 40, metric: str = "beta") -> tuple[ShapeIndex, np.ndarray]:
+    betas = np.random.default_rng(0).standard_normal((count, SIZE))
+    index = ShapeIndex(Space.of(prior(), LAPTOP, metric))
+    entries = [Entry(f"object {i // 4}", f"file {i}", bytes([i]) * (i % 3)) for i in range(count)]
+    index.add(signatures(betas[:10]), entries[:10])
+    index.add(signatures(betas[10:]), entries[10:])
+    return index, betas
+
+
+@pytest.mark.parametrize(("rows", "queries", "count"), [(50_000, 3, 10), (40_001, 1, 1), (9000, 4, 64), (5, 2, 10)])
+def test_exact_search_finds_what_brute_force_finds(rows, queries, count):
+    rng = np.random.default_rng(rows)
+    vectors, asked = rng.standard_normal((rows, SIZE)), rng.standard_normal((queries, SIZE))
+    found = ExactSearch(vectors).nearest(asked, count)
+    truth = np.linalg.norm(asked[:, None] - vectors[None], axis=-1)
+    count = min(count, rows)
+    assert found.rows.shape == (queries, count)
+    np.testing.assert_array_equal(found.rows, np.argsort(truth, axis=1)[:, :count])
+    np.testing.assert_allclose(found.distances, np.sort(truth, axis=1)[:, :count], rtol=1e-5)
+
+
+def test_equally_near_ones_come_in_the_order_in_which_they_were_added():
+    vectors = np.tile(np.random.default_rng(0).integers(0, 2, (100, 3)), (300, 1)).astype(np.float32)
+    order = np.argsort(vectors.sum(1), kind="stable")  # the squared distances from zero
+    np.testing.assert_array_equal(ExactSearch(vectors).nearest(np.zeros((1, 3)), 200).rows[0], order[:200])
+
+
+def test_far_from_the_origin_the_nearest_are_still_found():
+    rng = np.random.default_rng(1)
+    vectors = 100 + rng.standard_normal((30_000, 4))
+    truth = np.linalg.norm(vectors.astype(np.float32).astype(np.float64) - 100, axis=1)
+    found = ExactSearch(vectors).nearest(np.full((1, 4), 100.0), 20)
+    np.testing.assert_array_equal(found.rows[0], np.argsort(truth)[:20])
+
+
+def test_all_there_are_may_be_asked_for():
+    vectors = np.random.default_rng(0).standard_normal((3000, 4))
+    found = ExactSearch(vectors).nearest(vectors[:2], 3000)
+    assert (np.sort(found.rows) == np.arange(3000)).all()
+    assert (np.diff(found.distances) >= 0).all()
+
+
+def test_keypoint_distance_is_that_between_canonical_keypoints_in_metres():
+    index, betas = filled(metric="keypoints")
+    hits = index.search(signatures(betas[3:4])[0], count=len(index))
+    keypoints = prior().keypoints(torch.as_tensor(betas, dtype=torch.float32)).detach().numpy() * LAPTOP.metres_per_unit
+    rms = np.sqrt(np.square(keypoints - keypoints[3]).sum(-1).mean(-1))
+    assert hits[0].entry.source == "file 3"
+    assert [hit.entry.source for hit in hits] == [f"file {row}" for row in np.argsort(rms)]
+    np.testing.assert_allclose([hit.distance for hit in hits], np.sort(rms), rtol=1e-4, atol=1e-6)
+
+
+def test_whitened_distance_counts_the_priors_standard_deviations():
+    wide = prior()
+    spread = np.linspace(0.5, 3.0, SIZE)
+    wide.beta_covariance.copy_(torch.as_tensor(np.diag(spread**2)))
+    space = Space.of(wide, LAPTOP, "whitened")
+    np.testing.assert_allclose(space.factor @ np.diag(spread), np.eye(SIZE), atol=1e-6)
+
+
+def test_search_by_information_ignores_what_the_query_does_not_know():
+    index, betas = filled()
+    covariance = np.eye(SIZE) * 1e-4
+    covariance[0, 0] = 1e6
+    asked = betas[7] + 50 * np.eye(SIZE)[0]
+    query = Signature(index.space.prior, asked, covariance)
+    assert index.search(query, 1)[0].entry.source != "file 7"
+    found = index.search(query, 3, by_information=True)
+    assert found[0].entry.source == "file 7"
+    assert found[0].distance == pytest.approx(50 / 1e3, rel=1e-3)
+    with pytest.raises(InputError, match="covariance"):
+        index.search(signatures(betas[:1])[0], 1, by_information=True)
+
+
+def test_every_object_is_named_once_by_its_nearest_entry():
+    index, betas = filled()
+    query = signatures(betas[17:18])[0]
+    best: dict[str, float] = {}
+    for hit in index.search(query, len(index)):
+        best.setdefault(hit.entry.name, hit.distance)
+    found = index.search_objects(query, 10)
+    assert [(hit.entry.name, hit.distance) for hit in found] == list(best.items())
+    assert len(index.search_objects(query, 3)) == 3
+    assert len(index.search_objects(query, 1000)) == 10
+
+
+def test_an_empty_index_answers_nothing():
+    index = ShapeIndex(Space.of(prior(), LAPTOP))
+    query = signatures(np.zeros((1, SIZE)))[0]
+    assert index.search(query) == []
+    assert index.search_objects(query) == []
+
+
+def test_what_is_saved_comes_back(tmp_path):
+    index, betas = filled(metric="keypoints")
+    index.save(tmp_path / "deep" / "index.npz")
+    again = ShapeIndex.load(tmp_path / "deep" / "index.npz")
+    assert again.entries == index.entries
+    assert (again.space.prior, again.space.metric, again.backend) == (index.space.prior, "keypoints", "exact")
+    query = signatures(betas[5:6] + 0.1)[0]
+    assert again.search(query) == index.search(query)
+    again.add(signatures(betas[:1]), [Entry("one more")])
+    assert len(again) == len(index) + 1
+
+
+def test_another_priors_signature_is_refused(tmp_path):
+    index, betas = filled()
+    foreign = signatures(betas[:1], seed=1)
+    for ask in (lambda: index.search(foreign[0]), lambda: index.add(foreign, [Entry("x")])):
+        with pytest.raises(InputError, match="prior") as refusal:
+            ask()
+        assert "\n" not in str(refusal.value)
+    assert len(index) == 40
+
+
+def test_signatures_that_cannot_be_are_refused():
+    index, betas = filled()
+    with pytest.raises(InputError, match="shape"):
+        index.search(Signature(index.space.prior, np.zeros(3)))
+    with pytest.raises(InputError, match="finite"):
+        index.add([Signature(index.space.prior, np.full(SIZE, np.nan))], [Entry("x")])
+    with pytest.raises(InputError):
+        index.add(signatures(betas[:2]), [Entry("x")])
+
+
+def test_the_fingerprint_follows_basis_and_category():
+    assert prior_fingerprint(prior(), LAPTOP) == prior_fingerprint(prior(), LAPTOP)
+    assert prior_fingerprint(prior(1), LAPTOP) != prior_fingerprint(prior(), LAPTOP)
+
+
+def test_a_crash_while_writing_leaves_the_old_index(tmp_path, monkeypatch):
+    path = tmp_path / "index.npz"
+    index, betas = filled()
+    index.save(path)
+    before = path.read_bytes()
+
+    def crash(file, **arrays):
+        file.write(b"half of an ind")
+        raise KeyboardInterrupt
+
+    index.add(signatures(betas[:1]), [Entry("new")])
+    monkeypatch.setattr(np, "savez", crash)
+    with pytest.raises(KeyboardInterrupt):
+        index.save(path)
+    assert path.read_bytes() == before
+    assert list(tmp_path.iterdir()) == [path]
+    assert len(ShapeIndex.load(path)) == 40
+
+
+def test_foreign_and_damaged_files_are_named(tmp_path):
+    path = tmp_path / "index.npz"
+    with pytest.raises(InputError, match=r"index\.npz: "):
+        ShapeIndex.load(path)
+    filled()[0].save(path)
+    whole = path.read_bytes()
+    for damaged in (b"", b"nonsense", whole[: len(whole) // 2], whole[:2000] + b"\x00\xff" * 50 + whole[2100:]):
+        path.write_bytes(damaged)
+        with pytest.raises(InputError, match=r"index\.npz: "):
+            ShapeIndex.load(path)
+    np.savez(path, betas=np.zeros((2, 3)))
+    with pytest.raises(InputError, match=r"index\.npz: "):
+        ShapeIndex.load(path)
+
+
+def test_an_index_of_another_version_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr("omad.applications.retrieval.index.FORMAT", "omad-index-0")
+    filled()[0].save(tmp_path / "index.npz")
+    monkeypatch.undo()
+    with pytest.raises(InputError, match=r"index\.npz: .*omad-index-0"):
+        ShapeIndex.load(tmp_path / "index.npz")
+
+
+def test_views_are_fused_by_what_each_knows():
+    sure, vague = np.full(SIZE, 1e-2), np.full(SIZE, 1e2)
+    first = Signature("p", np.zeros(SIZE), np.diag(np.where(np.arange(SIZE) < 5, sure, vague)))
+    second = Signature("p", np.ones(SIZE), np.diag(np.where(np.arange(SIZE) < 5, vague, sure)))
+    fused = fuse([first, second])
+    np.testing.assert_allclose(fused.beta, np.arange(SIZE) >= 5, atol=1e-3)
+    assert fused.covariance is not None
+    np.testing.assert_allclose(np.diag(fused.covariance), 1e-2, rtol=1e-3)
+    plain = fuse([first, Signature("p", np.ones(SIZE))])
+    np.testing.assert_allclose(plain.beta, 0.5)
+    with pytest.raises(InputError, match="prior"):
+        fuse([first, Signature("q", np.ones(SIZE))])
+    with pytest.raises(InputError):
+        fuse([])
+
+
+def test_without_faiss_the_cure_is_named(monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "faiss", None)
+    index = ShapeIndex(Space.of(prior(), LAPTOP), "faiss")
+    index.add(signatures(np.zeros((1, SIZE))), [Entry("x")])
+    with pytest.raises(InputError, match=r"omad\[faiss\]"):
+        index.search(signatures(np.zeros((1, SIZE)))[0])
+
+
+@pytest.mark.skipif(importlib.util.find_spec("faiss") is None, reason="FAISS is not installed (extra omad[faiss])")
+@pytest.mark.parametrize("views", [1, 20], ids=["shapes at random", "many views of each object"])
+def test_faiss_finds_nearly_all_of_the_nearest_and_its_graph_is_kept(tmp_path: Path, views: int):
+    rng = np.random.default_rng(0)
+    betas = np.repeat(rng.standard_normal((4000 // views, SIZE)), views, axis=0) + 0.1 * rng.standard_normal(
+        (4000, SIZE)
+    )
+    exact, graph = (ShapeIndex(Space.of(prior(), LAPTOP), backend) for backend in ("exact", "faiss"))
+    for index in (exact, graph):
+        index.add_betas(betas, [Entry(str(i)) for i in range(len(betas))])
+    asked = betas[::40] + 0.1 * rng.standard_normal((100, SIZE))
+    truth, found = exact.nearest(asked, 10), graph.nearest(asked, 10)
+    recall = np.mean([len(set(a) & set(b)) / 10 for a, b in zip(truth.rows, found.rows, strict=True)])
+    assert recall > 0.99
+    np.testing.assert_allclose(found.distances[:, 0], truth.distances[:, 0], rtol=1e-3)
+    graph.save(tmp_path / "index.npz")
+    again = ShapeIndex.load(tmp_path / "index.npz")
+    np.testing.assert_array_equal(again.nearest(asked, 10).rows, found.rows)
+    graph.add_betas(betas[:1] + 9, [Entry("one more")])  # builds the graph anew
+    assert graph.nearest(betas[:1] + 9, 1).rows[0, 0] == 4000
+
+
+def test_information_takes_the_entries_doubt_into_account_and_keeps_it(tmp_path):
+    index, betas = filled()
+    doubtful = [Signature(index.space.prior, beta, 3 * np.eye(SIZE)) for beta in betas[:10]]
+    index.add(doubtful, [Entry(f"again {i}") for i in range(10)])
+    np.testing.assert_allclose(index.usual_covariance, 3 * 10 / 50 * np.eye(SIZE))  # 40 were certain
+    index.save(tmp_path / "index.npz")
+    again = ShapeIndex.load(tmp_path / "index.npz")
+    np.testing.assert_allclose(again.usual_covariance, index.usual_covariance)
+    query = Signature(index.space.prior, betas[30] + 0.1, 0.4 * np.eye(SIZE))
+    hit = again.search(query, 1, by_information=True)[0]
+    assert hit.entry.source == "file 30"
+    assert hit.distance == pytest.approx(0.1 * np.sqrt(SIZE) / np.sqrt(0.6 + 0.4), rel=1e-4)

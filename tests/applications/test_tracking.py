@@ -1,0 +1,125 @@
+"""Following an object through frames: the filter, what is believed of its shape, and the command."""
+
+import io
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from sequences import SequenceConfig, SequenceFrame, render_sequence
+
+import omad
+from omad.applications.tracking.motion import MotionConfig, MotionFilter, Placement
+from omad.applications.tracking.shape_belief import ShapeBelief, ShapeConfig
+from omad.cli.main import run
+from omad.common.errors import InputError
+from omad.data.procedural import generate
+from omad.objects.category_file import get_category
+
+GIVEN = ["--category", "laptop", "--intrinsics", "600,600,319.5,239.5", "--json"]
+
+
+@pytest.fixture(scope="module")
+def sequence() -> list[SequenceFrame]:
+    """A laptop, gone in frames 4 to 6."""
+    category = get_category("laptop")
+    config = SequenceConfig(frames=10, fps=5.0, swing=0.2, gap=(4, 7))
+    return list(render_sequence(generate(category, 0, "test"), category, config))
+
+
+@pytest.fixture
+def folder(sequence, tmp_path, monkeypatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "frames").mkdir()
+    for index, frame in enumerate(sequence):
+        image = Image.fromarray(np.rint(frame.depth * 1000).astype(np.uint16))
+        image.save(tmp_path / "frames" / f"{index:04d}.png")
+    return Path("frames")
+
+
+def test_filter_is_the_textbook_one():
+    """A sliding joint is linear: a Kalman filter of two numbers, written out."""
+    config = MotionConfig(decay=2.0)
+    P, R, dt = np.diag([0.01, config.sliding**2 * 2.0]), 0.02, 0.1
+    ours = MotionFilter(config, (False,), Placement(np.eye(4), np.zeros(1)), 0.01 * np.eye(7))
+    x, k = np.zeros(2), np.exp(-dt / 2.0)
+    F = np.array([[1, 2.0 * (1 - k)], [0, k]])
+    Q = config.sliding**2 * np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
+    for measured in (0.05, 0.08, 0.2):
+        ours.predict(dt)
+        ours.update(Placement(np.eye(4), np.array([measured])), R * np.eye(7))
+        x, P = F @ x, F @ P @ F.T + Q
+        gain = P[:, 0] / (P[0, 0] + R)
+        x, P = x + gain * (measured - x[0]), P - np.outer(gain, P[0])
+        np.testing.assert_allclose([ours.placement.joint_states[0], ours.velocity[6]], x)
+        assert np.isclose(ours.covariance[6, 6], P[0, 0])
+
+
+def test_placement_steps_invert():
+    start = Placement(np.eye(4), np.zeros(2))
+    step = np.array([0.3, -0.2, 0.1, 1, 2, 3, 0.5, -0.5])
+    np.testing.assert_allclose(start.step_to(start.moved(step)), step)
+
+
+def test_a_static_base_only_gets_surer():
+    ours = MotionFilter(MotionConfig(static_base=True), (True,), Placement(np.eye(4), np.zeros(1)), np.eye(7))
+    ours.predict(1.0)
+    np.testing.assert_allclose(np.diag(ours.covariance)[:6], 1)
+    assert ours.covariance[6, 6] > 1
+
+
+def test_one_viewpoint_tells_of_the_shape_once():
+    belief = ShapeBelief(ShapeConfig(most_views=2.0), np.zeros(2), np.eye(2))
+    belief.update(np.ones(2), np.eye(2) / 3, belief.count(0.0))
+    np.testing.assert_allclose(belief.mean, 1)
+    for _ in range(20):
+        belief.update(belief.mean, np.linalg.inv(np.linalg.inv(belief.covariance) + np.eye(2)), belief.count(0.0))
+    np.testing.assert_allclose(belief.covariance, np.eye(2) / 3)
+    for _ in range(20):
+        belief.update(belief.mean, np.linalg.inv(np.linalg.inv(belief.covariance) + 2 * np.eye(2)), 1.0)
+    assert belief.views <= 2 + 1e-9
+    np.testing.assert_allclose(belief.covariance, np.eye(2) / 5, rtol=1e-6)
+
+
+@pytest.mark.slow
+def test_lost_and_found(folder, capsys):
+    code = run(["track", str(folder), "--fps", "5", *GIVEN])
+    summary = json.loads(capsys.readouterr().out)
+    lines = [json.loads(line) for line in Path("omad-track/frames.jsonl").read_text().splitlines()]
+    assert code == 0
+    assert summary["frames"] == 10
+    assert [lines[i]["status"] for i in (3, 4)] == ["tracking", "coasting"]
+    assert lines[9]["status"] == "tracking"
+    assert {"states.csv", "states.png", "summary.json"} <= {path.name for path in Path("omad-track").iterdir()}
+
+
+def test_stream_with_bad_frames_and_times(folder, capsys, monkeypatch):
+    (folder / "0001.png").write_bytes(b"broken")
+    Image.new("I;16", (20, 10), 900).save(folder / "0002.png")
+    names = "".join(f"{folder}/000{i}.png\t{i / 5}\n" for i in range(4))
+    monkeypatch.setattr("sys.stdin", io.StringIO(names))
+    assert run(["track", "-", "--static-base", *GIVEN[:-1]]) == 2
+    out = capsys.readouterr().out
+    lines = [json.loads(line) for line in out.splitlines()[:4]]
+    assert [line["status"] == "refused" for line in lines] == [False, True, True, False]
+    assert lines[3]["time"] == pytest.approx(0.6)
+    assert "20x10" in lines[2]["reason"]
+
+
+@pytest.mark.parametrize("content", ["", "name,seconds\n0000.png,0\n0001.png,soon\n", "0000.png,0\n"])
+def test_times_that_do_not_fit_are_refused(folder, content, capsys):
+    Path("times.csv").write_text(content)
+    assert run(["track", str(folder), "--times", "times.csv", *GIVEN]) == 2
+    assert "times" in capsys.readouterr().err
+
+
+def test_an_empty_folder_is_refused(tmp_path):
+    assert run(["track", str(tmp_path), *GIVEN]) == 2
+
+
+def test_tracker_wants_rising_times():
+    tracker = omad.Tracker(omad.Estimator.from_pretrained("laptop"))
+    assert tracker(None, 0.0).status == "lost"
+    with pytest.raises(InputError, match="frame"):
+        tracker(None, 0.0)

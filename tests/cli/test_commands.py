@@ -1,0 +1,369 @@
+"""The command line keeps its promises: JSON, exit codes, help, every format, resumption, its own outputs as inputs."""
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+from safetensors.numpy import load_file
+
+from helpers.command_line import LAPTOP, K, answer, cloud, laptop_view, save_png
+from omad import __version__
+from omad.cli.main import COMMANDS, Group, run
+from omad.data.rendering import view_folder
+from omad.training import loop as training
+
+HEAVY = {"torch", "numpy", "scipy", "numba", "matplotlib", "trimesh", "PIL"}
+"""Packages that take long to import."""
+ALL = [
+    f"{name} {part}".strip()
+    for name, command in COMMANDS.items()
+    for part in (command.commands if isinstance(command, Group) else [""])
+]
+SMALL = ["--objects", "4", "--batch", "4", "--threads", "1", "--device", "cpu"]
+
+
+@pytest.fixture(autouse=True)
+def in_a_folder_of_its_own(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+def truth_deg() -> float:
+    return np.degrees(laptop_view().states[0])
+
+
+def state_deg(estimate: dict) -> float:
+    return np.degrees(estimate["joints"][0]["state"])
+
+
+@pytest.mark.slow
+def test_estimate_keeps_its_promise(capsys):
+    found = answer(capsys, "estimate", save_png("a.png"), *LAPTOP, *K)
+    promised = "category converged residual beta T_camera_base joints parts keypoints initial seconds warnings checks"
+    assert set(promised.split()) | {"input", "output"} == set(found)
+    joint = found["joints"][0]
+    assert set(joint) == {"name", "type", "state", "state_std", "limits", "fraction", "axis", "pivot"}
+    low, high = joint["limits"]
+    assert (low, high) == pytest.approx((np.radians(-80), np.radians(85)))
+    assert joint["fraction"] == pytest.approx((joint["state"] - low) / (high - low))
+    assert np.linalg.norm(joint["axis"]) == pytest.approx(1)
+    assert abs(state_deg(found) - truth_deg()) < 6
+    assert found["converged"] is True
+    assert 0 < found["residual"] < 0.05
+    pose = np.array(found["T_camera_base"])
+    assert pose[:3, :3] @ pose[:3, :3].T == pytest.approx(np.eye(3), abs=1e-6)
+    assert np.linalg.norm(pose[:3, 3] - laptop_view().T_camera_base[:3, 3]) < 0.05  # metres
+    assert [set(part) for part in found["parts"]] == [{"name", "T_camera_part", "points"}] * 2
+    assert found["parts"][0]["T_camera_part"] == found["T_camera_base"]
+    assert sum(part["points"] for part in found["parts"]) == np.count_nonzero(laptop_view().depth)
+    assert np.shape(found["keypoints"])[1] == 3
+    assert {"joints", "T_camera_base"} <= set(found["initial"])
+    assert set(found["initial"]["joints"][0]) == set(joint)
+    assert found["initial"]["joints"][0]["state_std"] is None  # absent values are null
+    assert set(found["seconds"]) == {"read", "network", "refinement"}
+    assert found["warnings"] == []
+    written = json.loads((Path(found["output"]) / "estimate.json").read_text())
+    assert written == {key: value for key, value in found.items() if key not in ("input", "output")}
+    state = json.loads((Path(found["output"]) / "state.json").read_text())
+    assert state["joint_states"] == {"hinge": joint["state"]}
+
+
+@pytest.mark.slow
+def test_every_format_of_the_same_view_gives_the_same_answer(capsys):
+    depth, points = laptop_view().depth, cloud()
+    save_png("png16.png")
+    Image.fromarray(np.rint(depth * 1e4).astype(np.uint16)).save("tenths.png")
+    Image.fromarray(np.rint(depth * 1000).astype(np.uint16)).save("tiff.tiff")
+    np.save("metres.npy", depth)
+    np.save("integers.npy", np.rint(depth * 1000).astype(np.int32))
+    np.savez("depth.npz", depth=depth)
+    np.savez("points.npz", points=points)
+    np.save("cloud.npy", points)
+    trimesh.PointCloud(points).export("ply.ply")
+    np.savetxt("text.xyz", points)
+    np.savetxt("millimetres.xyz", 1000 * points)
+    header = "VERSION .7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\n"
+    header += f"WIDTH {len(points)}\nHEIGHT 1\nPOINTS {len(points)}\nDATA ascii"
+    np.savetxt("pcd.pcd", points, header=header, comments="")
+    scales = {"tenths.png": "1e-4", "millimetres.xyz": "1e-3"}
+    plain = [path.name for path in Path().iterdir() if path.name not in scales]
+    assert len(plain) == 10
+    found = answer(capsys, "estimate", *plain, *LAPTOP, *K)["results"]
+    found += [answer(capsys, "estimate", file, *LAPTOP, *K, "--depth-scale", s) for file, s in scales.items()]
+    states = np.array([state_deg(result) for result in found])
+    assert np.ptp(states) < 0.5
+    assert abs(states.mean() - truth_deg()) < 6
+    places = np.array([result["joints"][0]["pivot"] for result in found])
+    assert np.ptp(places, axis=0).max() < 0.002
+    for result in found:
+        kept = {path.name for path in Path(result["output"]).iterdir()}
+        assert {"estimate.json", "object.urdf", "state.json", "estimate.png"} <= kept
+
+
+@pytest.mark.slow
+def test_a_folder_is_many_inputs(capsys):
+    save_png("frames/a.png")
+    one = answer(capsys, "estimate", "frames", *LAPTOP, *K)
+    assert [result["input"] for result in one["results"]] == ["frames/a.png"]
+    np.savetxt("frames/b.xyz", cloud())
+    Path("frames/notes.txt").write_text("not an input")
+    Path("frames/.hidden.png").write_text("not an input")
+    found = answer(capsys, "estimate", "frames", *LAPTOP, *K)
+    assert [result["input"] for result in found["results"]] == ["frames/a.png", "frames/b.xyz"]
+    assert found["refused"] == []
+    assert run(["estimate", "frames", *LAPTOP, *K]) == 0
+    table = capsys.readouterr().out
+    assert "frames/a.png" in table
+    assert f"{state_deg(found['results'][0]):.1f}°" in table
+
+
+@pytest.mark.slow
+def test_inputs_of_the_same_name_do_not_overwrite_each_other(capsys):
+    for file in ("one/d.png", "two/d.png"):
+        save_png(file)
+    for inputs in (["one/d.png", "two/d.png"], ["one", "two"]):
+        found = answer(capsys, "estimate", *inputs, *LAPTOP, *K)["results"]
+        assert len({result["output"] for result in found}) == 2
+    assert len(answer(capsys, "estimate", "one/d.png", "./one/d.png", *LAPTOP, *K)["results"]) == 1  # the same file
+
+
+@pytest.mark.slow
+def test_mask_and_box_cut_the_object_out(capsys):
+    depth = laptop_view().depth
+    for name in ("a", "b"):
+        save_png(f"frames/{name}.png", np.where(depth > 0, depth, 3.0))
+        Path("masks").mkdir(exist_ok=True)
+        Image.fromarray(((depth > 0) * 255).astype(np.uint8)).save(f"masks/{name}.png")
+    for mask in ("masks", "masks/a.png"):
+        found = answer(capsys, "estimate", "frames", *LAPTOP, *K, "--mask", mask)["results"]
+        assert [abs(state_deg(result) - truth_deg()) < 6 for result in found] == [True, True]
+    rows, columns = np.nonzero(depth)
+    clutter = depth.copy()
+    clutter[: rows.min() - 5, : columns.min() - 5] = 1.0
+    box = f"{columns.min()},{rows.min()},{columns.max() + 1},{rows.max() + 1}"
+    found = answer(capsys, "estimate", save_png("c.png", clutter), *LAPTOP, *K, "--box", box)
+    assert abs(state_deg(found) - truth_deg()) < 6
+
+
+@pytest.mark.slow
+def test_plane_segmentation_finds_the_object_on_its_table(capsys):
+    depth, pose = laptop_view().depth, laptop_view().T_camera_base
+    rows, columns = np.mgrid[:480, :640]
+    rays = np.stack([(columns - 319.5) / 600, (rows - 239.5) / 600, np.ones_like(rows)], -1)
+    up, below = pose[:3, 1], cloud()[np.argmin(cloud() @ pose[:3, 1])]
+    with np.errstate(divide="ignore"):
+        table = (below @ up) / (rays @ up)
+    scene = np.where(depth > 0, depth, np.where((table > 0) & (table < 3), table, 0))
+    found = answer(capsys, "estimate", save_png("d.png", scene), *LAPTOP, *K, "--segment", "plane")
+    assert abs(state_deg(found) - truth_deg()) < 8
+
+
+@pytest.mark.slow
+def test_a_wrong_depth_scale_is_doubted(capsys):
+    found = answer(capsys, "estimate", save_png("d.png"), *LAPTOP, *K, "--depth-scale", "1e-4")
+    assert "depth scale" in found["warnings"][0]
+
+
+@pytest.mark.slow
+def test_demo(capsys):
+    found = answer(capsys, "demo", *LAPTOP, "--objects", "1", "--output", "out")
+    assert set(found) == {"results", "files"}
+    assert {"category", "object", "estimate", "truth", "errors"} == set(found["results"][0])
+    assert {"joints", "T_camera_base", "keypoints"} <= set(found["results"][0]["estimate"])
+    assert all(Path(file).is_file() for file in found["files"])
+    assert run(["demo", *LAPTOP, "--objects", "1", "--output", "out"]) == 0
+    assert "hinge" in capsys.readouterr().out
+
+
+def test_info(capsys):
+    found = answer(capsys, "info")
+    assert {"version", "categories", "weights", "device", "torch", "numpy"} <= set(found)
+    assert all(Path(folder).is_dir() for folder in found["weights"].values())
+    assert set(found["weights"]) <= set(found["categories"])
+
+
+SHARES = ("within_5deg_5percent", "flipped", "swapped")
+
+
+def errors_have_the_promised_keys(errors: dict, revolute: list[bool], parts: int) -> None:
+    spread = {"mean", "median", "p90"}
+    always = ("joint_state_error_deg", "joint_state_error", "axis_error_deg", "axis_distance", "pivot_distance")
+    assert set(errors) == {*always, "rotation_error_deg", "translation_error", *SHARES}
+    assert all(0 <= errors[share] <= 1 for share in SHARES)
+    for name in always:
+        assert len(errors[name]) == len(revolute)
+        for turns, error in zip(revolute, errors[name], strict=True):
+            absent = name == "joint_state_error" if turns else name not in ("joint_state_error", "axis_error_deg")
+            assert error is None if absent else set(error) == spread, name
+    for name in ("rotation_error_deg", "translation_error"):
+        assert [set(error) for error in errors[name]] == [spread] * parts
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("category", "revolute"), [("laptop", [True]), ("drawer", [False] * 3)])
+def test_pose_evaluation_keeps_its_promise(category, revolute, capsys):
+    arguments = ["eval", "pose", "--category", category, "--objects", "2", "--views", "4"]
+    found = answer(capsys, *arguments, "--depth-noise", "--seed", "3", "--pictures", "worst")
+    promised = "category source objects views failures metres_per_unit initial refined by_object seconds"
+    assert set(promised.split()) <= set(found)
+    assert (found["category"], found["source"], found["objects"], found["views"]) == (category, "procedural", 2, 4)
+    assert found["depth_noise"] is True
+    for errors in (found["initial"], found["refined"], *(entry["refined"] for entry in found["by_object"])):
+        errors_have_the_promised_keys(errors, revolute, len(revolute) + 1)
+    assert [set(entry) for entry in found["by_object"]] == [{"object", "refined"}] * 2
+    assert set(found["seconds"]) == {"network", "refinement"}
+    assert all(Path(file).is_file() for file in found["pictures"])
+    assert run(arguments) == 0
+    assert "refined" in capsys.readouterr().out
+
+
+def test_models_of_a_folder_are_evaluated_and_unfit_ones_named(capsys):
+    answer(capsys, "generate", *LAPTOP, "--output", "models", "--objects", "2")
+    Path("models/broken").mkdir()
+    Path("models/broken/model.urdf").write_text("<robot")
+    found = answer(capsys, "eval", "pose", *LAPTOP, "--source", "models", "--views", "2")
+    assert found["objects"] == 2
+    assert [refusal["name"] for refusal in found["refused"]] == ["broken"]
+    assert "model.urdf" in found["refused"][0]["reason"]
+
+
+def files_in(folder: str) -> dict[str, bytes]:
+    return {str(p.relative_to(folder)): p.read_bytes() for p in Path(folder).rglob("*") if p.is_file()}
+
+
+def interrupt_after(monkeypatch, module, name: str, calls: int) -> None:
+    """The next ``calls`` calls of a function work, the one after them is interrupted from the keyboard."""
+    original, done = getattr(module, name), []
+
+    def interrupted(*arguments, **options):
+        done.append(1)
+        if len(done) > calls:
+            raise KeyboardInterrupt
+        return original(*arguments, **options)
+
+    monkeypatch.setattr(module, name, interrupted)
+
+
+@pytest.mark.slow
+def test_an_interrupted_rendering_goes_on_and_can_be_evaluated(capsys, monkeypatch):
+    render = ["render", *LAPTOP, "--objects", "2", "--views", "5", "--noise", "on", "--output"]
+    with monkeypatch.context() as patch:
+        interrupt_after(patch, view_folder, "standard_view", 3)
+        assert run([*render, "views"]) == 130
+    assert "interrupted" in capsys.readouterr().err
+    assert run(["eval", "pose", *LAPTOP, "--source", "views"]) == 2
+    assert "same render command" in capsys.readouterr().err
+    old = {path: path.stat().st_mtime_ns for path in Path("views").rglob("*.png")}
+    found = answer(capsys, *render, "views")
+    assert found["views"] == 5
+    assert all(path.stat().st_mtime_ns == time for path, time in old.items())  # kept, not drawn again
+    answer(capsys, *render, "at-once")
+    assert files_in("views") == files_in("at-once")
+
+    evaluated = answer(capsys, "eval", "pose", *LAPTOP, "--source", "views")
+    assert (evaluated["views"], evaluated["objects"], evaluated["depth_noise"]) == (5, 2, True)
+    assert run([*render, "views", "--seed", "1"]) == 2
+    assert "another seed" in capsys.readouterr().err
+    answer(capsys, *render, "views", "--views", "6")  # more of the same is no other setting
+
+
+@pytest.mark.slow
+def test_an_interrupted_training_goes_on_where_it_was(capsys, monkeypatch):
+    clock = iter(range(0, 10**6, 100))
+    monkeypatch.setattr(training.time, "monotonic", lambda: float(next(clock)))  # the state is saved at every step
+    train = ["train", "prior", *LAPTOP, "--steps", "3", *SMALL, "--output"]
+    with monkeypatch.context() as patch:
+        interrupt_after(patch, training, "_average", 2)
+        assert run([*train, "prior"]) == 130
+    assert not Path("prior/config.json").exists()
+    assert answer(capsys, *train, "prior") == {"checkpoint": "prior"}
+    answer(capsys, *train, "at-once")
+    assert Path("prior/config.json").read_bytes() == Path("at-once/config.json").read_bytes()
+    resumed, whole = (load_file(f"{folder}/model.safetensors") for folder in ("prior", "at-once"))
+    for name in resumed:  # so few objects leave beta ill-determined, and what follows from it
+        if not name.startswith("prior."):
+            assert resumed[name] == pytest.approx(whole[name], abs=1e-6), name
+    assert run([*train, "prior", "--seed", "1"]) == 2
+    assert "other settings" in capsys.readouterr().err
+
+    net = ["train", "net", *LAPTOP, "--prior", "prior", "--steps", "3", *SMALL, "--output", "net"]
+    answer(capsys, *net)
+    before = Path("net/model.safetensors").read_bytes()
+    answer(capsys, *net)  # finished already
+    assert Path("net/model.safetensors").read_bytes() == before
+    use_weights(capsys, "net")
+    assert answer(capsys, "eval", "keypoints", *LAPTOP, "--weights", "prior", "--objects", "2")["objects"] == 2
+
+
+def use_weights(capsys, folder: str) -> None:
+    """``omad export`` takes a training's folder, and every command takes what it writes."""
+    found = answer(capsys, "export", *LAPTOP, "--weights", folder, "--output", "laptop")
+    assert all((Path("laptop") / file).is_file() for file in found["files"])
+    assert np.load("laptop/prior.npz")["basis"].shape[1] == 3
+    few = ["--objects", "1", "--views", "1", "--device", "cpu"]
+    own, exported = (
+        answer(capsys, "eval", "pose", *LAPTOP, "--weights", weights, *few) for weights in (folder, "laptop")
+    )
+    assert own["refined"] == exported["refined"]
+    assert own["refined"] != answer(capsys, "eval", "pose", *LAPTOP, *few)["refined"]  # a folder of that name is used
+
+
+@pytest.mark.parametrize("command", ALL)
+def test_help_explains_every_option(command, capsys):
+    with pytest.raises(SystemExit) as stop:
+        run([*command.split(), "--help"])
+    assert stop.value.code == 0
+    text = " ".join(capsys.readouterr().out.replace("│", " ").split())
+    options = [entry for entry in re.split(r" (?=--?[a-z][a-z-]*[ ,])", text) if entry.startswith("--")]
+    assert any("--json" in option for option in options)
+    silent = [o for o in options if re.fullmatch(r"--[\w-]+( [^ ]+)? (\([^)]*\))", o.strip())]
+    assert not silent
+    if command in ("demo", "estimate", "eval pose", "eval keypoints", "eval views"):
+        assert {"--weights", "--device"} <= {option.split()[0] for option in options}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        [],
+        ["nonsense"],
+        ["demo", "--objects", "many"],
+        ["estimate", "d.png"],
+        ["estimate", "d.png", *LAPTOP, "--segment", "sky"],
+    ],
+)
+def test_wrong_usage_exits_with_two(arguments, capsys):
+    with pytest.raises(SystemExit) as stop:
+        run(arguments)
+    assert stop.value.code == 2
+    assert capsys.readouterr().out == ""
+
+
+@pytest.mark.parametrize("command", ["", *ALL])
+def test_help_loads_nothing_heavy(command):
+    code = "import sys; from omad.cli.main import parse\ntry: parse(sys.argv[1:])\nfinally: print(*sys.modules)"
+    asked = [sys.executable, "-c", code, *command.split(), "--help"]
+    loaded = subprocess.run(asked, capture_output=True, text=True, check=True).stdout.splitlines()[-1]
+    assert not HEAVY & set(loaded.split())
+
+
+def test_version(capsys):
+    assert run(["--version"]) == 0
+    assert capsys.readouterr().out.strip() == __version__
+
+
+@pytest.mark.slow
+def test_as_a_program():
+    command = [sys.executable, "-m", "omad", "estimate", save_png("d.png"), *LAPTOP, "--json"]
+    good = subprocess.run([*command, *K], capture_output=True, text=True, check=False)
+    assert good.returncode == 0, good.stderr
+    assert json.loads(good.stdout)["converged"]
+    bad = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (bad.returncode, bad.stdout) == (2, "")
+    assert len(bad.stderr.strip().splitlines()) == 1

@@ -1,0 +1,182 @@
+"""Building, asking and measuring catalogues on the command line; the Siamese baseline learns and is kept."""
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from helpers.categories import LAPTOP
+from helpers.command_line import LAPTOP as OF_LAPTOP
+from helpers.command_line import K, answer, cloud, laptop_view, refused, save_png
+from omad.applications.retrieval.index import ShapeIndex
+from omad.cli.main import run
+from omad.data.procedural import generate
+from omad.evaluation.baselines.siamese import SiameseNet, SiameseTraining, contrastive_losses, train_siamese
+from omad.model.backbones.pointnet2 import PointNet2Config
+from omad.model.checkpoint import WEIGHTS, load, save
+from omad.model.omadnet import OmadNet
+from omad.training.loop import Schedule
+
+TINY = PointNet2Config(points=128, centres=(32, 16), neighbours=(8, 8), widths=(24, 32, 48), dense=32)
+
+
+@pytest.fixture(autouse=True)
+def in_a_folder_of_its_own(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+def build(capsys, *options: str) -> dict:
+    return answer(capsys, "index", "build", *OF_LAPTOP, "--output", "index.npz", *options)
+
+
+@pytest.mark.slow
+def test_a_view_finds_its_object_among_models(capsys):
+    made = build(capsys, "--objects", "3")
+    assert (made["entries"], made["objects"], made["metric"]) == (3, 3, "keypoints")
+    found = answer(capsys, "index", "query", save_png("q.png"), *K, "--index", "index.npz", "--count", "2")
+    names = [hit["object"] for hit in found["ranking"]]
+    assert names[0] == generate(LAPTOP, 0, "test").name  # what the view shows
+    assert len(names) == 2
+    assert found["ranking"][0]["distance"] < found["ranking"][1]["distance"] < 0.1
+    assert found["unit"] == "m"
+    with Image.open(found["ranking"][0]["thumbnail"]) as thumbnail:
+        assert max(thumbnail.size) <= 96
+    assert Path(found["picture"]).stat().st_size > 1000
+
+    np.save("cloud.npy", cloud())
+    again = answer(
+        capsys, "index", "query", "cloud.npy", "q.png", *K, "--index", "index.npz", "--by-information"
+    )  # two views of it
+    assert again["ranking"][0]["object"] == names[0]
+    assert again["unit"] == "std"
+    assert run(["index", "query", "cloud.npy", "--index", "index.npz"]) == 0
+    assert names[0] in capsys.readouterr().out
+
+    line = refused(capsys, "index", "query", "q.png", *K, "--index", "index.npz", "--weights", str(other_prior()))
+    assert "--weights" in line
+
+
+def other_prior() -> Path:
+    """The shipped laptop, speaking another language."""
+    net = load(OmadNet, WEIGHTS / "laptop")
+    with torch.no_grad():
+        net.prior.learned_basis.mul_(1.5)
+    save(net, Path("other"), {})
+    return Path("other")
+
+
+@pytest.mark.slow
+def test_a_catalogue_of_views_has_an_entry_an_object_or_a_view(capsys):
+    views = ["render", *OF_LAPTOP, "--output", "views", "--objects", "2", "--views", "4"]
+    answer(capsys, *views)
+    made = build(capsys, "--source", "views")
+    assert (made["entries"], made["objects"]) == (2, 2)
+    made = build(capsys, "--source", "views", "--no-fuse", "--metric", "beta")
+    assert (made["entries"], made["objects"]) == (4, 2)
+    index = ShapeIndex.load("index.npz")
+    assert all(entry.thumbnail.startswith(b"\x89PNG") for entry in index.entries)
+    assert "views: " in refused(
+        capsys, "index", "build", "--category", "drawer", "--output", "x.npz", "--source", "views"
+    )
+
+
+@pytest.mark.slow
+def test_a_catalogue_of_ones_own_images(capsys):
+    save_png("images/mine/a.png")
+    save_png("images/mine/b.png")
+    np.save("images/lone.npy", cloud())
+    Path("images/broken.png").write_text("")
+    made = build(capsys, "--source", "images", *K)
+    assert (made["entries"], made["objects"]) == (2, 2)
+    assert [Path(refusal["name"]).name for refusal in made["refused"]] == ["broken.png"]
+    assert sorted(entry.name for entry in ShapeIndex.load("index.npz").entries) == ["lone", "mine"]
+    found = answer(capsys, "index", "query", "images/lone.npy", "--index", "index.npz")
+    assert found["ranking"][0]["object"] == "lone"
+    shutil.rmtree("images/mine")
+    Path("images/lone.npy").unlink()
+    assert "images: " in refused(capsys, "index", "build", *OF_LAPTOP, "--output", "new.npz", "--source", "images", *K)
+
+
+def test_bad_input_is_one_line(capsys):
+    query = ["index", "query", save_png("q.png")]
+    assert "nowhere.npz: " in refused(capsys, *query, *K, "--index", "nowhere.npz")
+    Path("bad.npz").write_bytes(b"nonsense")
+    assert "bad.npz: " in refused(capsys, *query, *K, "--index", "bad.npz")
+    assert "--objects 0" in refused(capsys, "index", "build", *OF_LAPTOP, "--output", "x.npz", "--objects", "0")
+    assert "nowhere" in refused(capsys, "index", "build", *OF_LAPTOP, "--output", "x.npz", "--source", "nowhere")
+
+
+@pytest.mark.slow
+def test_table3_of_all_methods_and_again_from_the_cache(capsys, monkeypatch):
+    shutil.copytree(WEIGHTS / "laptop", "weights/laptop", ignore=shutil.ignore_patterns("prior", "ancsh", "siamese"))
+    torch.manual_seed(0)
+    save(SiameseNet(LAPTOP, TINY), Path("weights/laptop/siamese"), {})
+    command = ["eval", "retrieval", "--objects", "3", "--views", "4", "--gallery", "2", "--draws", "3"]
+    command += ["--queries", "5", "--weights", "weights"]
+    found = answer(capsys, *command)
+    methods = found["laptop"]
+    assert {
+        "omad",
+        "omad_initial",
+        "siamese",
+        "omad_keypoints",
+        "omad_information",
+        "omad_three_views",
+    } <= methods.keys()
+    for part in methods.values():
+        for scores in (part, part["large"], part["across_states"]):
+            assert {"map_at_10", "nearest_neighbour", "first_tier", "second_tier"} == scores["chance"].keys()
+            assert all(0 <= scores[key] <= 1 for key in scores["chance"])
+        assert (part["objects"], part["gallery"], part["draws"]) == (2, 8, 3)
+        assert (part["large"]["objects"], part["large"]["gallery"]) == (3, 12)
+    assert methods["omad"]["paper"] == 0.452
+    assert methods["omad"]["map_at_10"] > methods["omad"]["chance"]["map_at_10"]
+
+    def again(*_):
+        raise AssertionError("what is kept is not made again")
+
+    monkeypatch.setattr("omad.evaluation.retrieval.pool.describe_with_omad", again)
+    monkeypatch.setattr("omad.evaluation.retrieval.pool.describe_with_siamese", again)
+    assert answer(capsys, *command) == found
+    assert run(command) == 0
+    assert "across states" in capsys.readouterr().out
+    assert "cache" in refused(capsys, *command, "--seed", "1")
+    save(SiameseNet(LAPTOP, TINY), Path("weights/laptop/siamese"), {})
+    assert "cache" in refused(capsys, *command)
+    shutil.rmtree("weights/laptop/siamese")
+    assert run([*command, "--json"]) == 0
+    captured = capsys.readouterr()
+    assert "siamese" not in json.loads(captured.out)["laptop"]
+    assert "siamese" in captured.err
+    assert "cache" in refused(capsys, "eval", "retrieval", "--weights", "cache")
+
+
+def test_contrastive_loss_by_hand():
+    embeddings = torch.tensor([[0.0, 0.0], [0.3, 0.4], [0.6, 0.8], [9.0, 0.0]])
+    found = contrastive_losses(embeddings, torch.tensor([0, 0, 1, 1]), margin=1.0)
+    apart = (8.4**2 + 0.8**2) ** 0.5
+    assert found["same"].item() == pytest.approx((0.5**2 + apart**2) / 2)
+    assert found["other"].item() == pytest.approx((0.0 + 0.0 + 0.5**2 + 0.0) / 4, abs=1e-6)
+
+
+@pytest.mark.slow
+def test_the_siamese_network_learns_and_is_kept(tmp_path):
+    models = [generate(LAPTOP, index) for index in range(3)]
+    settings = SiameseTraining(schedule=Schedule(steps=12, batch=9, log_steps=1), backbone=TINY)
+    net = train_siamese(models, LAPTOP, tmp_path, settings)
+    rows = [json.loads(line) for line in (tmp_path / "metrics.jsonl").read_text().splitlines()]
+    assert rows[-1]["step"] == 12
+    assert set(rows[0]) >= {"same", "other", "loss"}
+    assert np.mean([row["loss"] for row in rows[-3:]]) < rows[0]["loss"]
+    save(net, tmp_path / "kept", {})
+    again = load(SiameseNet, tmp_path / "kept")
+    points = torch.randn(2, 128, 3, generator=torch.Generator().manual_seed(0))
+    torch.testing.assert_close(again(points), net.eval()(points))
+
+
+def test_the_view_is_of_the_object_that_the_tests_take_it_for():
+    assert laptop_view().object == generate(LAPTOP, 0, "test").name

@@ -1,0 +1,262 @@
+"""Procedural objects: reproducible, closed, in canonical space, moving as their category says, and varied."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+from helpers.categories import CATEGORIES, DISHWASHER, LAPTOP
+from omad.common.errors import InputError
+from omad.data.procedural import GENERATORS, generate
+from omad.data.procedural.shapes import box, cylinder, hexahedron, slab
+from omad.geometry.mesh import Mesh, merge_meshes
+from omad.objects.category import Category
+from omad.objects.model import ObjectModel
+
+COUNT = 150
+
+
+@pytest.fixture(scope="module")
+def objects() -> dict[str, list[ObjectModel]]:
+    return {name: [generate(CATEGORIES[name], i, "train") for i in range(COUNT)] for name in GENERATORS}
+
+
+@pytest.fixture(params=sorted(GENERATORS))
+def category(request) -> Category:
+    return CATEGORIES[request.param]
+
+
+def solids(mesh: Mesh) -> list[trimesh.Trimesh]:
+    """The solids that a part is a union of."""
+    whole = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+    labels = trimesh.graph.connected_component_labels(whole.face_adjacency, node_count=len(mesh.faces))
+    return [trimesh.Trimesh(mesh.vertices, mesh.faces[labels == k], process=False) for k in range(labels.max() + 1)]
+
+
+def winding(mesh: Mesh, points: np.ndarray) -> np.ndarray:
+    """How many solids of ``mesh`` hold each point (N, 3): the sum of the solid angles of its triangles over 4 pi."""
+    a, b, c = (mesh.vertices[mesh.faces[:, k]] - points[:, None] for k in range(3))
+    la, lb, lc = (np.linalg.norm(v, axis=-1) for v in (a, b, c))
+    volume = np.einsum("ijk,ijk->ij", a, np.cross(b, c))
+    spread = la * lb * lc + (a * b).sum(-1) * lc + (b * c).sum(-1) * la + (c * a).sum(-1) * lb
+    return (2 * np.arctan2(volume, spread)).sum(1) / (4 * np.pi)
+
+
+def share_inside(model: ObjectModel, state: float) -> float:
+    """Share of the moving part's surface that lies inside the base at ``state``."""
+    samples = model.surface_samples(1200, np.random.default_rng(0))
+    points = samples.points[samples.labels == 1][:300].astype(float)
+    T = model.part_transforms(np.array([state]))[1]
+    return float((winding(model.parts[0], points @ T[:3, :3].T + T[:3, 3]) > 0.5).mean())
+
+
+def extents(models: list[ObjectModel], category: Category) -> np.ndarray:
+    """(objects, parts, 3) sizes of the parts' rest boxes in category units."""
+    boxes = np.stack([m.part_boxes() for m in models])
+    return (boxes[:, :, 1] - boxes[:, :, 0]) / category.metres_per_unit
+
+
+def assert_same(a: ObjectModel, b: ObjectModel) -> None:
+    assert a.name == b.name
+    for p, q in zip(a.parts, b.parts, strict=True):
+        np.testing.assert_array_equal(p.vertices, q.vertices)
+        np.testing.assert_array_equal(p.faces, q.faces)
+    np.testing.assert_array_equal(a.pivots, b.pivots)
+
+
+@pytest.mark.parametrize(
+    "solid",
+    [
+        box((-1, 0, 2), (1, 3, 4)),
+        hexahedron(
+            np.array([[0, 0, 0], [1, 0, 0], [1, 0, 1], [0, 0, 1], [0, 2, 0], [1, 1, 0], [1, 1, 1], [0, 2, 1.0]])
+        ),
+        *(slab((0, 0, 0), (1, 2, 3), axis, 0.1, bevel) for axis in range(3) for bevel in (0.0, 0.05)),
+        slab((0, 0, 0), (1, 0.01, 1), 1, 5.0, 5.0),  # radius and bevel too large for the box
+        *(cylinder((0, 0, 0), end, 0.2) for end in ((1, 0, 0), (0, -1, 0), (0, 0, 1), (1, 2, -3))),
+    ],
+)
+def test_shapes_are_closed_and_face_outwards(solid):
+    mesh = trimesh.Trimesh(solid.vertices, solid.faces, process=False)
+    assert mesh.is_watertight
+    assert mesh.is_winding_consistent
+    assert mesh.volume > 0
+
+
+def test_a_slab_fills_its_box_and_merging_keeps_volumes():
+    a, b = slab((0, 0, 0), (1, 2, 3), 1, 0.1, 0.05), box((5, 0, 0), (6, 1, 1))
+    np.testing.assert_allclose([a.vertices.min(0), a.vertices.max(0)], [[0, 0, 0], [1, 2, 3]], atol=1e-12)
+    both = merge_meshes([a, b])
+    volumes = [trimesh.Trimesh(m.vertices, m.faces, process=False).volume for m in (a, b, both)]
+    assert volumes[1] == pytest.approx(1)
+    assert volumes[2] == pytest.approx(volumes[0] + volumes[1])
+
+
+@pytest.mark.slow
+def test_the_same_arguments_give_the_same_object(category, objects):
+    assert_same(generate(category, 7, "train"), objects[category.name][7])
+    assert_same(generate(category, 7, "test", seed=5), generate(category, 7, "test", seed=5))
+
+
+@pytest.mark.slow
+def test_splits_seeds_and_indices_share_no_object(category):
+    variants = [(i, split, seed) for i in range(10) for split in ("train", "test") for seed in range(3)]
+    models = [generate(category, *variant) for variant in variants]
+    assert len({m.name for m in models}) == len(models)
+    assert len({m.part_boxes().tobytes() for m in models}) == len(models)
+
+
+def test_a_category_without_generator_is_refused_by_name(category):
+    with pytest.raises(InputError, match="'toaster'.*" + ", ".join(sorted(GENERATORS))):
+        generate(replace(category, name="toaster"), 0)
+
+
+@pytest.mark.parametrize("arguments", [{"index": -1}, {"index": 0, "seed": -1}, {"index": 0, "seed": 2**32}])
+def test_numbers_that_seed_no_stream_are_refused(category, arguments):
+    with pytest.raises(InputError, match=r"^(index|seed) "):
+        generate(category, **arguments)
+
+
+@pytest.mark.slow
+def test_parts_are_unions_of_closed_outward_solids(category, objects):
+    for model in objects[category.name][:40]:
+        for part in model.parts:
+            for solid in solids(part):
+                assert solid.is_watertight, model.name
+                assert solid.is_winding_consistent, model.name
+                assert solid.volume > 0, model.name
+                assert solid.area_faces.min() > 1e-12, model.name
+
+
+@pytest.mark.slow
+def test_meshes_are_light(category, objects):
+    faces = [sum(len(p.faces) for p in m.parts) for m in objects[category.name]]
+    assert min(faces) >= 100
+    assert max(faces) <= 3000
+
+
+@pytest.mark.slow
+def test_objects_obey_their_spec_in_canonical_space(category, objects):
+    for model in objects[category.name]:
+        assert model.category == category.name
+        assert model.tree == category.tree
+        assert model.part_names == tuple(part.name for part in category.parts)
+        assert model.joint_names == tuple(joint.name for joint in category.joints)
+        for joint, limits in zip(category.joints, model.limits, strict=True):
+            if joint.type == "revolute":
+                assert tuple(limits) == joint.limits
+            else:
+                assert 0 <= limits[0] < limits[1] <= joint.limits[1] * category.metres_per_unit
+        cosine = (model.axes * [joint.axis for joint in category.joints]).sum(1)
+        assert cosine.min() > np.cos(np.radians(8))  # a temple's hinge may lean
+        boxes = model.part_boxes()
+        np.testing.assert_allclose(boxes[:, 0].min(0), -boxes[:, 1].max(0), atol=1e-12)
+        assert 0.6 < model.diagonal / 2 / category.metres_per_unit < 1.6  # a bounding sphere of about one unit
+
+
+@pytest.mark.slow
+def test_screen_stands_upright_behind_the_base_and_hangs_on_its_hinge(objects):
+    for model in objects["laptop"]:
+        base, screen = model.part_boxes()
+        size = base[1] - base[0]
+        assert screen[0, 1] > base[0, 1] - 0.02, model.name
+        assert screen[1, 1] > base[1, 1] + 0.4 * size[2], model.name
+        assert screen[0, 2] < base[0, 2] + 0.15 * size[2], model.name
+        assert (screen[1] - screen[0])[2] < 0.35 * (screen[1] - screen[0])[1], model.name
+        _, y, z = model.pivots[0]
+        assert base[0, 1] < y < base[1, 1] + 0.02, model.name
+        assert screen[0, 2] - 0.02 < z < screen[1, 2] + 0.02, model.name
+
+
+@pytest.mark.slow
+def test_screen_closes_forwards_onto_the_base(objects):
+    close = np.array([LAPTOP.joints[0].limits[1]])
+    for model in objects["laptop"]:
+        base, screen = model.part_boxes()
+        low, high = (f(model.posed_vertices(close)[1], 0) for f in (np.min, np.max))
+        assert high[1] < screen[1, 1] - 0.3 * (screen[1] - screen[0])[1], model.name
+        overlap = min(high[2], base[1, 2]) - max(low[2], base[0, 2])
+        assert overlap > 0.7 * (base[1] - base[0])[2], model.name
+        opened = model.posed_vertices(-close)[1]
+        assert opened[:, 2].min() < base[0, 2] - 0.3 * (base[1] - base[0])[2], model.name
+
+
+@pytest.mark.slow
+def test_door_covers_the_front_and_falls_forwards(objects):
+    opened = np.array([DISHWASHER.joints[0].limits[1]])
+    for model in objects["dishwasher"]:
+        body, door = model.part_boxes()
+        size = door[1] - door[0]
+        assert door[1, 2] > body[1, 2] - 0.12, model.name
+        assert door[0, 2] > 0.2 * body[0, 2], model.name
+        assert size[0] > 0.75 * (body[1] - body[0])[0], model.name
+        _, y, z = model.pivots[0]
+        assert abs(y - door[0, 1]) < 0.05, model.name
+        assert door[0, 2] - 0.01 < z < door[1, 2], model.name
+        fallen = model.posed_vertices(opened)[1]
+        assert fallen[:, 2].max() > z + 0.95 * (door[1, 1] - y), model.name
+        assert fallen[:, 1].max() < door[0, 1] + 0.25, model.name
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "degrees", "mean", "most"),
+    [("laptop", -80, 0.02, 0.12), ("laptop", 0, 0.01, 0.1), ("laptop", 60, 0.03, 0.2)]
+    + [("dishwasher", 15, 0.015, 0.08), ("dishwasher", 90, 0.015, 0.13)],
+)
+def test_parts_hardly_cut_into_each_other(objects, name, degrees, mean, most):
+    shares = [share_inside(model, np.radians(degrees)) for model in objects[name][:40]]
+    assert np.mean(shares) < mean
+    assert max(shares) < most
+
+
+@pytest.mark.slow
+def test_a_shut_screen_sinks_no_deeper_than_a_deck_is_uneven(objects):
+    for model in objects["laptop"]:
+        lid = model.posed_vertices(np.array([LAPTOP.joints[0].limits[1]]))[1]
+        assert lid[:, 1].min() > model.part_boxes()[0, 0, 1] - 0.02, model.name
+
+
+@pytest.mark.slow
+def test_laptops_are_as_wide_a_family_as_real_ones(objects):
+    """PartNet-Mobility: depth / width 0.72 +- 0.08, screen height / width 0.70 +- 0.08, thickness 0.02 to 0.15."""
+    size = extents(objects["laptop"], LAPTOP)
+    base, screen = size[:, 0], size[:, 1]
+    assert 0.06 < np.std(base[:, 2] / base[:, 0]) < 0.16
+    assert abs(np.mean(base[:, 2] / base[:, 0]) - 0.72) < 0.06
+    assert 0.06 < np.std(screen[:, 1] / screen[:, 0]) < 0.16
+    assert abs(np.mean(screen[:, 1] / screen[:, 0]) - 0.70) < 0.08
+    assert base[:, 0].min() < 1.02
+    assert base[:, 0].max() > 1.49
+    assert base[:, 1].min() < 0.035
+    assert base[:, 1].max() > 0.15
+    hinge = np.array([m.pivots[0, 2] - m.part_boxes()[0, 0, 2] for m in objects["laptop"]]) / LAPTOP.metres_per_unit
+    assert hinge.min() < 0
+    assert hinge.max() > 0.05
+
+
+@pytest.mark.slow
+def test_dishwashers_are_as_wide_a_family_as_real_ones(objects):
+    models = objects["dishwasher"]
+    body, door = extents(models, DISHWASHER).transpose(1, 0, 2) * DISHWASHER.metres_per_unit
+    assert np.std(body[:, 1] / body[:, 0]) > 0.2
+    assert np.std(body[:, 2] / body[:, 0]) > 0.15
+    assert body[:, 1].min() < 0.5
+    assert body[:, 1].max() > 0.95
+    assert np.std(door[:, 1] / body[:, 1]) > 0.05
+    depths = [hollow_depth(model) for model in models]
+    assert 0.1 < np.mean([depth < 0.1 for depth in depths]) < 0.5  # solid ones
+    assert np.mean([depth > 0.3 for depth in depths]) > 0.4  # an open tub
+
+
+def hollow_depth(model: ObjectModel) -> float:
+    """How far one sees into an open body: the deepest of nine rays towards -z, in metres; endless without a back."""
+    body, door = model.part_boxes()
+    ys, xs = np.meshgrid(np.linspace(0.3, 0.7, 3), np.linspace(0.3, 0.7, 3))
+    corner, size = door[0], door[1] - door[0]
+    start = np.stack([corner[0] + xs * size[0], corner[1] + ys * size[1], np.full_like(xs, door[1, 2])], -1)
+    whole = trimesh.Trimesh(model.parts[0].vertices, model.parts[0].faces, process=False)
+    ray = trimesh.ray.ray_triangle.RayMeshIntersector(whole)
+    hits, _, _ = ray.intersects_location(start.reshape(-1, 3), np.tile([0.0, 0.0, -1.0], (9, 1)), multiple_hits=False)
+    return float(body[1, 2] - hits[:, 2].min()) if len(hits) else np.inf

@@ -1,0 +1,162 @@
+"""Standard views: what they show, that they repeat, and that a folder of them holds the same."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from helpers.categories import CATEGORIES
+from omad.common.errors import InputError
+from omad.data.procedural import generate
+from omad.data.rendering import view_folder
+from omad.data.rendering.depth_noise import ON
+from omad.data.rendering.rasteriser import NOTHING
+from omad.data.rendering.standard_views import MIN_PIXELS, standard_view, standard_views
+from omad.data.rendering.view_folder import open_views, render_to_folder
+from omad.geometry.mesh import Mesh
+from omad.objects.model import ObjectModel
+
+CATEGORY = CATEGORIES["dishwasher"]
+
+
+@pytest.fixture(scope="module")
+def models() -> list[ObjectModel]:
+    return [generate(CATEGORY, index, "test") for index in range(3)]
+
+
+def contents(folder: Path) -> dict[str, str]:
+    files = sorted(p for p in folder.rglob("*") if p.is_file())
+    return {str(p.relative_to(folder)): hashlib.sha256(p.read_bytes()).hexdigest() for p in files}
+
+
+def test_views_lie_on_the_object_within_its_limits(models: list[ObjectModel]) -> None:
+    states = []
+    for view in standard_views(models, CATEGORY, 12, seed=1):
+        model = next(m for m in models if m.name == view.object)
+        assert (view.depth > 0).sum() >= MIN_PIXELS
+        assert np.array_equal(view.labels != NOTHING, view.depth > 0)
+        assert ((view.states >= model.limits[:, 0]) & (view.states <= model.limits[:, 1])).all()
+        assert np.array_equal(view.truth.pivots, model.pivots)
+        assert view.truth.diagonal == pytest.approx(model.diagonal)
+        states.append(view.states[0])
+        for part, vertices in enumerate(model.posed_vertices(view.states, view.T_camera_base)):
+            rows, columns = np.nonzero(view.labels == part)
+            z = view.depth[rows, columns]
+            camera = view.camera
+            points = np.stack([(columns - camera.cx) / camera.fx * z, (rows - camera.cy) / camera.fy * z, z], 1)
+            assert (points > vertices.min(0) - 1e-5).all()
+            assert (points < vertices.max(0) + 1e-5).all()
+    assert np.ptp(states) > 0.5
+
+
+def test_views_repeat_and_do_not_depend_on_how_many_are_drawn(models: list[ObjectModel]) -> None:
+    few = list(standard_views(models, CATEGORY, 4, seed=3, noise=ON))
+    many = list(standard_views(models, CATEGORY, 7, seed=3, noise=ON))
+    for a, b in zip(few, many, strict=False):
+        assert np.array_equal(a.depth, b.depth)
+        assert np.array_equal(a.T_camera_base, b.T_camera_base)
+    assert [v.object for v in many] == [models[i % 3].name for i in range(7)]
+    assert many[3].seed == (3, 0, 1)
+    other = next(standard_views(models, CATEGORY, 1, seed=4))
+    assert not np.array_equal(other.T_camera_base, few[0].T_camera_base)
+
+
+def test_noise_leaves_the_truth_alone(models: list[ObjectModel]) -> None:
+    clean, noisy = (standard_view(models[0], CATEGORY, (0, 0, 0), noise) for noise in (None, ON))
+    assert np.array_equal(clean.states, noisy.states)
+    assert np.array_equal(clean.T_camera_base, noisy.T_camera_base)
+    assert not np.array_equal(clean.depth, noisy.depth)
+    assert np.array_equal(noisy.labels != NOTHING, noisy.depth > 0)
+
+
+def test_an_object_that_cannot_be_seen_is_refused(models: list[ObjectModel], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("omad.data.rendering.standard_views.ATTEMPTS", 3)
+    thread = Mesh(np.array([[0.0, 0, 0], [1, 0, 0], [1, 1e-9, 0]]), np.array([[0, 1, 2]]))
+    with pytest.raises(InputError, match=models[0].name):
+        standard_view(replace(models[0], parts=(thread, thread)), CATEGORY, (0,))
+
+
+def test_a_folder_holds_the_same_views(models: list[ObjectModel], tmp_path: Path) -> None:
+    folder = render_to_folder(models, CATEGORY, tmp_path, 5, seed=2, noise=ON)
+    assert (folder.category, folder.noise, len(folder)) == ("dishwasher", ON, 5)
+    for read, drawn in zip(open_views(tmp_path), standard_views(models, CATEGORY, 5, 2, ON), strict=True):
+        assert read.object == drawn.object
+        assert read.seed == drawn.seed
+        assert read.camera == drawn.camera
+        assert np.array_equal(read.labels, drawn.labels)
+        assert np.abs(read.depth - drawn.depth).max() <= folder.depth_scale * 0.51
+        assert np.array_equal(read.states, drawn.states)
+        assert np.array_equal(read.T_camera_base, drawn.T_camera_base)
+        for key in ("axes", "pivots", "limits", "part_boxes"):
+            assert np.array_equal(getattr(read.truth, key), getattr(drawn.truth, key))
+
+
+@pytest.mark.slow
+def test_the_bytes_do_not_depend_on_processes_or_interruptions(
+    models: list[ObjectModel], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    render_to_folder(models, CATEGORY, tmp_path / "once", 8)
+    render_to_folder(models, CATEGORY, tmp_path / "two", 8, processes=2)
+
+    class Killed(BaseException):
+        pass
+
+    def killed_at_the_fifth(*arguments: object, **named: object) -> object:
+        drawn.append(1)
+        if len(drawn) == 5:
+            raise Killed
+        return standard_view(*arguments, **named)  # type: ignore[arg-type]
+
+    drawn: list[int] = []
+    with monkeypatch.context() as patch:
+        patch.setattr(view_folder, "standard_view", killed_at_the_fifth)
+        with pytest.raises(Killed):
+            render_to_folder(models, CATEGORY, tmp_path / "twice", 8)
+        with pytest.raises(InputError, match="twice"):
+            open_views(tmp_path / "twice")
+        render_to_folder(models, CATEGORY, tmp_path / "twice", 8)
+    assert len(drawn) == 5 + 4
+    assert contents(tmp_path / "once") == contents(tmp_path / "two") == contents(tmp_path / "twice")
+
+
+def test_more_views_can_be_added_but_other_settings_are_refused(models: list[ObjectModel], tmp_path: Path) -> None:
+    render_to_folder(models[:1], CATEGORY, tmp_path / "grown", 1)
+    render_to_folder(models[:1], CATEGORY, tmp_path / "grown", 3)
+    render_to_folder(models[:1], CATEGORY, tmp_path / "straight", 3)
+    assert contents(tmp_path / "grown") == contents(tmp_path / "straight")
+    for word, changed in (
+        ("seed", lambda: render_to_folder(models[:1], CATEGORY, tmp_path / "grown", 3, seed=1)),
+        ("noise", lambda: render_to_folder(models[:1], CATEGORY, tmp_path / "grown", 3, noise=ON)),
+        ("objects", lambda: render_to_folder(models, CATEGORY, tmp_path / "grown", 3)),
+        (
+            models[0].name,
+            lambda: render_to_folder([replace(models[1], name=models[0].name)], CATEGORY, tmp_path / "grown", 3),
+        ),
+    ):
+        with pytest.raises(InputError, match=word):
+            changed()
+    assert contents(tmp_path / "grown") == contents(tmp_path / "straight")
+
+
+def test_broken_folders_are_named(models: list[ObjectModel], tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"dataset\.json"):
+        open_views(tmp_path)
+    with pytest.raises(InputError, match=models[0].name):
+        render_to_folder([models[0], models[0]], CATEGORY, tmp_path, 2)
+    with pytest.raises(InputError, match=r"\.\./out"):
+        render_to_folder([replace(models[0], name="../out")], CATEGORY, tmp_path, 2)
+    render_to_folder(models[:1], CATEGORY, tmp_path, 1)
+    depth = tmp_path / models[0].name / "00000.depth.png"
+    whole = depth.read_bytes()
+    depth.write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(InputError, match=r"00000\.depth\.png"):
+        list(open_views(tmp_path))
+    record = json.loads((tmp_path / "dataset.json").read_text())
+    (tmp_path / "dataset.json").write_text(json.dumps({**record, "format": "else"}))
+    with pytest.raises(InputError, match="format"):
+        open_views(tmp_path)

@@ -1,0 +1,89 @@
+"""Training views: seeded, right in geometry, and alike to rendered views."""
+
+import numpy as np
+import pytest
+import torch
+
+from helpers.categories import CATEGORIES, DISHWASHER, LAPTOP
+from omad.data.procedural import generate
+from omad.data.training_views import SurfaceBank, ViewSettings, draw_views, visible
+from omad.geometry.kinematics import part_transforms
+from omad.geometry.transforms import invert_transform, transform_points
+
+CLEAN = ViewSettings(points=256, noise=0.0)
+
+
+@pytest.fixture(scope="module")
+def bank() -> SurfaceBank:
+    return SurfaceBank.from_models([generate(LAPTOP, i) for i in range(4)], LAPTOP, samples=4096)
+
+
+def draw(bank: SurfaceBank, settings: ViewSettings = CLEAN, batch: int = 6, seed: int = 0):
+    return draw_views(bank, LAPTOP, batch, settings, torch.Generator().manual_seed(seed))
+
+
+def test_same_seed_same_views(bank):
+    a, b, c = draw(bank), draw(bank), draw(bank, seed=1)
+    assert torch.equal(a.points, b.points)
+    assert torch.equal(a.states, b.states)
+    assert not torch.equal(a.points, c.points)
+
+
+def test_points_lie_on_the_stretched_posed_object(bank):
+    views = draw(bank)
+    G = part_transforms(LAPTOP.tree, views.axes, views.pivots, views.states, views.T_camera_base)
+    for b in range(len(views.points)):
+        surface = bank.points[views.indices[b]] * views.scale[b]
+        for part in range(2):
+            seen = views.points[b][views.labels[b] == part]
+            if len(seen) == 0:
+                continue
+            canonical = transform_points(invert_transform(G[b, part]), seen)
+            own = surface[bank.labels[views.indices[b]] == part]
+            distance = torch.cdist(canonical, own, compute_mode="donot_use_mm_for_euclid_dist")
+            assert distance.amin(1).max() < 1e-4
+
+
+def test_states_stay_within_limits_and_the_object_in_front_of_the_camera(bank):
+    views = draw(bank, batch=64)
+    limits = bank.limits[views.indices]
+    assert (views.states >= limits[..., 0]).all()
+    assert (views.states <= limits[..., 1]).all()
+    assert (views.points[..., 2] > 0.5).all()
+    u = 600 * views.points[..., 0] / views.points[..., 2] + 319.5
+    assert (u >= -0.5).all()
+    assert (u <= 639.5).all()
+
+
+def test_a_sheet_hides_what_is_behind_it():
+    grid = torch.stack(torch.meshgrid(torch.linspace(-1, 1, 80), torch.linspace(-1, 1, 80), indexing="ij"), -1)
+    near = torch.cat([grid.reshape(-1, 2), torch.full((6400, 1), 4.0)], 1)
+    far = near * 1.5
+    points = torch.cat([near, far])[None]
+    seen = visible(points, torch.tensor([[0.0, 0.0, 4.0]]), torch.tensor([1.5]))[0]
+    assert seen[:6400].sum() > 500
+    assert seen[6400:].sum() == 0
+
+
+def test_noise_moves_points_as_a_stereo_camera_does(bank):
+    settings = ViewSettings(points=256, noise=1e-9), ViewSettings(points=256, noise=2.0)
+    clean, noisy = (draw(bank, s, batch=64) for s in settings)
+    # the views are the same, and in about half of them points are displaced
+    assert torch.equal(clean.T_camera_base, noisy.T_camera_base)
+    moved = (clean.points.mean(1) - noisy.points.mean(1)).norm(dim=-1) > 1e-4
+    assert 0.25 < moved.float().mean() < 0.75
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", sorted(CATEGORIES))
+def test_generated_objects_are_closed(name):
+    assert all(generate(CATEGORIES[name], i).closed for i in range(30))
+
+
+def test_stretching_carries_joints_along():
+    bank = SurfaceBank.from_models([generate(DISHWASHER, 0)], DISHWASHER, samples=64)
+    scale = torch.tensor([[1.0, 2.0, 0.5]])
+    stretched = bank.scaled(torch.tensor([0]), scale)
+    assert torch.allclose(stretched.pivots[0, 0], bank.pivots[0, 0] * scale[0])
+    assert torch.allclose(stretched.axes[0, 0], torch.tensor([1.0, 0.0, 0.0]))
+    assert np.isclose(stretched.normals.norm(dim=-1).numpy(), 1, atol=1e-5).all()

@@ -1,0 +1,431 @@
+"""Foreign models: whatever their frame, zero state, names and extra links, the same canonical object comes out."""
+
+import os
+import xml.etree.ElementTree as ElementTree
+from dataclasses import replace
+from pathlib import Path
+from typing import get_args
+
+import numpy as np
+import pytest
+import trimesh
+import yourdfpy
+from scipy.spatial.transform import Rotation
+
+from helpers.categories import CATEGORIES, DISHWASHER, LAPTOP
+from helpers.kinematics_by_yourdfpy import largest_gap, vertices_of
+from omad.common.errors import InputError
+from omad.data.procedural import generate
+from omad.data.urdf_import.articulation import read_articulation, read_urdf
+from omad.data.urdf_import.folder import import_model, load_folder
+from omad.data.urdf_import.links import label_parts
+from omad.data.urdf_import.rest_states import REST_RULES
+from omad.geometry.mesh import Mesh
+from omad.objects.category import Category, JointSpec, PartSpec, RestRule
+from omad.objects.model import ObjectModel
+from omad.objects.urdf import write_urdf
+
+MODELS = Path(os.environ.get("OMAD_MODELS", "nowhere"))
+needs_models = pytest.mark.skipif(not MODELS.is_dir(), reason="OMAD_MODELS names no folder of real models")
+REAL = [("laptop/arctic", LAPTOP)] + [(f"dishwasher/{i}", DISHWASHER) for i in (11622, 11826, 12259)]
+
+
+def box(low, high) -> Mesh:
+    solid = trimesh.creation.box(bounds=[low, high])
+    return Mesh(np.array(solid.vertices), np.array(solid.faces))
+
+
+def as_object(category: Category, parts: list[Mesh], pivot, limits=None) -> ObjectModel:
+    spec = category.joints[0]
+    return ObjectModel(
+        name="made",
+        category=category.name,
+        part_names=tuple(part.name for part in category.parts),
+        parts=tuple(parts),
+        joint_names=(spec.name,),
+        tree=category.tree,
+        axes=np.array([spec.axis]),
+        pivots=np.array([pivot], dtype=float),
+        limits=np.array([limits or spec.limits]),
+    ).centred()
+
+
+def plain_laptop() -> ObjectModel:
+    base, screen = box((-0.17, 0, 0), (0.17, 0.02, 0.24)), box((-0.165, 0.025, -0.01), (0.165, 0.24, 0.0))
+    return as_object(LAPTOP, [base, screen], (0, 0.022, 0.005))
+
+
+def plain_dishwasher() -> ObjectModel:
+    body, door = box((-0.3, 0, -0.55), (0.3, 0.82, 0)), box((-0.29, 0.1, 0), (0.29, 0.8, 0.03))
+    return as_object(DISHWASHER, [body, door], (0, 0.1, 0.01))
+
+
+def seen_otherwise(model: ObjectModel, seed: int, flip: bool = False, zero: float | None = None) -> ObjectModel:
+    """The same one-joint object in another frame, its zero moved, its axis perhaps reversed."""
+    rng = np.random.default_rng(seed)
+    states = rng.uniform(model.limits[:, 0], model.limits[:, 1]) if zero is None else np.array([zero])
+    R, t = Rotation.random(rng=rng).as_matrix(), rng.normal(size=3)
+    sign = -1 if flip else 1
+    limits = model.limits - states[:, None]
+    return replace(
+        model,
+        parts=tuple(Mesh(v @ R.T + t, p.faces) for v, p in zip(model.posed_vertices(states), model.parts, strict=True)),
+        axes=sign * model.axes @ R.T,
+        pivots=(model.pivots + rng.uniform(-1, 1) * model.axes) @ R.T + t,
+        limits=-limits[:, ::-1] if flip else limits,
+    )
+
+
+def edited(file: Path, change) -> Path:
+    """Rewrite a URDF through ``change(root element)``."""
+    tree = ElementTree.parse(file)
+    change(tree.getroot())
+    tree.write(file)
+    return file
+
+
+def without_limits(root) -> None:
+    for joint in root.iter("joint"):
+        joint.set("type", "continuous")
+        joint.remove(joint.find("limit"))
+
+
+def renamed(names: dict[str, str]):
+    def change(root) -> None:
+        for element in root.iter():
+            for key in ("name", "link"):
+                if element.get(key) in names:
+                    element.set(key, names[element.get(key)])
+
+    return change
+
+
+def assert_same(ours: ObjectModel, truth: ObjectModel, metres: float, radians: float) -> None:
+    assert ours.part_names == truth.part_names
+    assert ours.tree == truth.tree
+    for fraction in (0.0, 0.4, 1.0):
+        state = truth.limits[:, 0] + fraction * np.ptp(truth.limits, axis=1)
+        for a, b in zip(ours.posed_vertices(state), truth.posed_vertices(state), strict=True):
+            assert largest_gap(a, b) < metres
+    np.testing.assert_allclose(ours.limits, truth.limits, atol=radians)
+
+
+@pytest.mark.parametrize("flip", [False, True])
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("make", [plain_laptop, plain_dishwasher])
+def test_frame_zero_and_sign_of_a_model_do_not_matter(make, seed, flip, tmp_path):
+    truth = make()
+    file = write_urdf(seen_otherwise(truth, seed, flip), tmp_path)
+    assert_same(import_model(file, CATEGORIES[truth.category]), truth, 1e-9, 1e-9)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_rest_state_is_found_without_limits(seed, tmp_path):
+    for truth in (plain_laptop(), plain_dishwasher()):
+        file = edited(write_urdf(seen_otherwise(truth, seed), tmp_path / truth.category), without_limits)
+        assert_same(import_model(file, CATEGORIES[truth.category]), truth, 1e-9, 1e-9)
+
+
+# the shape of a chest of drawers does not say which way is up, so it is not among these
+@pytest.mark.slow
+@pytest.mark.parametrize("category", [LAPTOP, DISHWASHER], ids=lambda category: category.name)
+def test_objects_of_all_shapes_come_back(category, tmp_path):
+    """Hollow, bevelled, with handles, racks, wedges. A wedge's own direction is ambiguous by its slope."""
+    for index in range(12):
+        truth = generate(category, index, "test")
+        file = write_urdf(seen_otherwise(truth, index, flip=index % 2 == 0), tmp_path / str(index))
+        imported = import_model(file, category)
+        assert_same(imported, truth, 0.01 * truth.diagonal, np.radians(2))
+
+
+def test_links_are_told_apart_by_name_even_where_the_root_is_the_lid(tmp_path):
+    truth = plain_laptop()
+    other = seen_otherwise(truth, 0)
+    turned = replace(
+        other, part_names=("screen", "base"), parts=other.parts[::-1], axes=-other.axes, joint_names=("hinge.1",)
+    )
+    assert_same(import_model(write_urdf(turned, tmp_path), LAPTOP), truth, 1e-9, 1e-9)
+
+
+def test_unnamed_links_are_told_apart_by_structure(tmp_path):
+    truth = plain_dishwasher()
+    file = edited(write_urdf(truth, tmp_path), renamed({"body": "link_0", "door": "link_1"}))
+    assert_same(import_model(file, DISHWASHER), truth, 1e-9, 1e-9)
+
+
+def box_link(root, name: str, low, high) -> None:
+    low, high = np.array(low), np.array(high)
+    link = ElementTree.SubElement(root, "link", name=name)
+    visual = ElementTree.SubElement(link, "visual")
+    ElementTree.SubElement(visual, "origin", xyz=" ".join(map(str, (low + high) / 2)))
+    geometry = ElementTree.SubElement(visual, "geometry")
+    ElementTree.SubElement(geometry, "box", size=" ".join(map(str, high - low)))
+
+
+def extra_joint(root, name: str, parent: str, child: str, kind: str, **limits: str) -> None:
+    joint = ElementTree.SubElement(root, "joint", name=name, type=kind)
+    ElementTree.SubElement(joint, "parent", link=parent)
+    ElementTree.SubElement(joint, "child", link=child)
+    ElementTree.SubElement(joint, "axis", xyz="0 0 1")
+    if limits:
+        ElementTree.SubElement(joint, "limit", limits)
+
+
+def test_extra_links_are_folded_into_what_carries_them(tmp_path):
+    plain = plain_dishwasher()
+    low, high = np.array([-0.02, 0.2, 0.275]), np.array([0.02, 0.24, 0.285])
+
+    def change(root) -> None:
+        box_link(root, "rack", (-0.1, 0.0, -0.2), (0.1, 0.05, 0.1))
+        extra_joint(root, "slide", "body", "rack", "prismatic", lower="-0.1", upper="-0.05")
+        box_link(root, "knob", low - plain.pivots[0], high - plain.pivots[0])
+        extra_joint(root, "turn", "door", "knob", "continuous")
+
+    model = import_model(edited(write_urdf(plain, tmp_path), change), DISHWASHER)
+    # the rack's joint does not allow zero: it stands where it comes nearest
+    extras = box((-0.1, 0.0, -0.25), (0.1, 0.05, 0.05)), box(low, high)
+    for part, with_extra, extra in zip(plain.parts, model.parts, extras, strict=True):
+        assert len(with_extra.faces) == 24
+        assert largest_gap(np.concatenate([part.vertices, extra.vertices]), with_extra.vertices) < 1e-9
+
+
+def test_partnet_folders_are_brought_to_metres_and_named_by_their_semantics(tmp_path):
+    folder = tmp_path / "11.7.a"
+    truth = plain_dishwasher()
+    unit = DISHWASHER.metres_per_unit
+    normalised = replace(
+        seen_otherwise(truth, 1, zero=0.0),
+        parts=tuple(Mesh(p.vertices / unit, p.faces) for p in seen_otherwise(truth, 1, zero=0.0).parts),
+        pivots=seen_otherwise(truth, 1, zero=0.0).pivots / unit,
+    )
+    file = edited(write_urdf(normalised, folder / "mobility.urdf"), renamed({"body": "link_1", "door": "link_0"}))
+    (folder / "semantics.txt").write_text("link_0 hinge rotation_door\nlink_1 heavy dishwasher_body\n\nodd line\n")
+    imported = import_model(folder, DISHWASHER)
+    assert imported.name == import_model(file, DISHWASHER).name == "11.7.a"
+    assert_same(imported, truth, 1e-9, 1e-9)
+    assert import_model(folder, DISHWASHER, scale=2 * unit).diagonal == pytest.approx(2 * truth.diagonal)
+    (folder / "semantics.txt").unlink()
+    assert_same(import_model(folder, DISHWASHER), truth, 1e-9, 1e-9)
+
+
+def test_missing_limits_come_from_the_spec_and_wide_ones_are_kept_within_it(tmp_path):
+    wide = replace(plain_laptop(), limits=np.array([[-1.5, 1.57]]))
+    for change in (lambda root: None, without_limits):
+        model = import_model(edited(write_urdf(wide, tmp_path), change), LAPTOP)
+        np.testing.assert_allclose(model.limits, [LAPTOP.joints[0].limits])
+
+
+def test_imported_models_survive_our_own_writer(tmp_path):
+    model = import_model(write_urdf(seen_otherwise(generate(DISHWASHER, 5), 2), tmp_path / "a"), DISHWASHER)
+    assert_same(read_urdf(write_urdf(model, tmp_path / "b"), DISHWASHER), model, 1e-9, 1e-12)
+    assert_same(import_model(tmp_path / "b" / "model.urdf", DISHWASHER), model, 1e-9, 1e-9)
+
+
+# A category of the user's own ----------------------------------------------------------------------------------------
+
+CHEST = Category(
+    name="chest",
+    metres_per_unit=0.45,
+    parts=(PartSpec("frame", 2), *(PartSpec(f"drawer {i}", 2, aliases=("drawer",)) for i in range(3))),
+    joints=tuple(
+        JointSpec(f"slide {i}", "prismatic", 0, (0.0, 0.0, 1.0), (0.0, 1.0), side=(0.0, 1.0 - i, 0.5)) for i in range(3)
+    ),
+    source_names=("StorageFurniture",),
+)
+
+
+def test_alike_parts_are_put_in_order_by_where_they_lie(tmp_path):
+    drawers = [box((-0.2, y, -0.19), (0.2, y + 0.2, 0.21)) for y in (0.5, 0.27, 0.04)]
+    truth = ObjectModel(
+        name="made",
+        category="chest",
+        part_names=tuple(part.name for part in CHEST.parts),
+        parts=(box((-0.22, 0, -0.2), (0.22, 0.72, 0.2)), *drawers),
+        joint_names=tuple(joint.name for joint in CHEST.joints),
+        tree=CHEST.tree,
+        axes=np.tile([0.0, 0.0, 1.0], (3, 1)),
+        pivots=np.zeros((3, 3)),
+        limits=np.tile([0.0, 0.3], (3, 1)),
+    ).centred()
+    R = Rotation.from_euler("xz", [90, 30], degrees=True).as_matrix()  # z up; the look of a chest does not tell
+    turned = [Mesh(truth.parts[k].vertices @ R.T, truth.parts[k].faces) for k in (0, 3, 1, 2)]
+    shuffled = replace(truth, parts=tuple(turned), axes=truth.axes @ R.T)
+    assert_same(import_model(write_urdf(shuffled, tmp_path), CHEST), truth, 1e-9, 1e-9)
+
+    def fourth(root) -> None:
+        box_link(root, "drawer 9", (-0.2, 0.0, -0.19), (0.2, 0.2, 0.21))
+        extra_joint(root, "slide 9", "frame", "drawer 9", "prismatic", lower="0", upper="0.3")
+
+    with pytest.raises(InputError, match="chest"):
+        import_model(edited(write_urdf(shuffled, tmp_path), fourth), CHEST)
+
+
+# Refusals ------------------------------------------------------------------------------------------------------------
+
+
+def second_door(root) -> None:
+    box_link(root, "door_2", (-0.3, -0.3, 0.27), (0.3, 0.3, 0.3))
+    extra_joint(root, "hinge_2", "body", "door_2", "revolute", lower="0", upper="1.5")
+
+
+def sliding_door(root) -> None:
+    root.find("joint").set("type", "prismatic")
+
+
+def stuck_door(root) -> None:
+    root.find("joint/limit").set("upper", "0.01")
+
+
+def no_joint(root) -> None:
+    root.remove(root.find("joint"))
+    root.remove(root.findall("link")[1])
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        (second_door, "door"),
+        (sliding_door, "revolute"),
+        (stuck_door, "joint 'door_hinge'"),
+        (no_joint, "revolute"),
+    ],
+)
+def test_objects_that_do_not_fit_are_refused_in_one_line(change, named, tmp_path):
+    edited(write_urdf(plain_dishwasher(), tmp_path), change)
+    with pytest.raises(InputError, match=named) as caught:
+        import_model(tmp_path, DISHWASHER)
+    assert str(tmp_path) in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_folder_gives_models_and_reasons(tmp_path):
+    for name in ("2", "10.5", "1"):
+        write_urdf(seen_otherwise(plain_dishwasher(), 3), tmp_path / name)
+    edited(tmp_path / "2" / "model.urdf", sliding_door)
+    (tmp_path / "notes").mkdir()
+    (tmp_path / ".cache").mkdir()
+    (tmp_path / "README").write_text("mine")
+    write_urdf(plain_dishwasher(), tmp_path / "3" / "a.urdf")
+    write_urdf(plain_dishwasher(), tmp_path / "3" / "b.urdf")
+    result = load_folder(tmp_path, DISHWASHER)
+    assert [model.name for model in result.models] == ["1", "10.5"]
+    assert [refusal.name for refusal in result.refused] == ["2", "3", "notes"]
+    for refusal, words in zip(result.refused, ("revolute", ".urdf", ".urdf"), strict=True):
+        assert words in refusal.reason
+        assert "\n" not in refusal.reason
+
+
+def test_a_folder_may_be_one_object_or_hold_urdf_files(tmp_path):
+    write_urdf(plain_dishwasher(), tmp_path / "v1.2.urdf")
+    assert [model.name for model in load_folder(tmp_path, DISHWASHER).models] == ["v1.2"]
+    write_urdf(plain_dishwasher(), tmp_path / "v1.3.urdf")
+    assert [model.name for model in load_folder(tmp_path, DISHWASHER).models] == ["v1.2", "v1.3"]
+    write_urdf(plain_dishwasher(), tmp_path / "partnet" / "mobility.urdf")
+    assert [model.name for model in load_folder(tmp_path / "partnet", DISHWASHER).models] == ["partnet"]
+    assert [model.name for model in load_folder(tmp_path / "v1.3.urdf", DISHWASHER).models] == ["v1.3"]
+
+
+def test_folders_without_objects_are_refused(tmp_path):
+    with pytest.raises(InputError, match="gone"):
+        load_folder(tmp_path / "gone", DISHWASHER)
+    with pytest.raises(InputError, match=r"\.urdf"):
+        load_folder(tmp_path, DISHWASHER)
+
+
+# Real models ---------------------------------------------------------------------------------------------------------
+
+
+def rigid(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """The 4x4 transform that takes points ``a`` to ``b``."""
+    T = np.eye(4)
+    T[:3, :3] = Rotation.align_vectors(b - b.mean(0), a - a.mean(0))[0].as_matrix()
+    T[:3, 3] = b.mean(0) - T[:3, :3] @ a.mean(0)
+    return T
+
+
+@pytest.mark.slow
+@needs_models
+@pytest.mark.parametrize(("name", "category"), REAL)
+def test_real_models_move_as_another_reader_moves_them(name, category):
+    """One fixed transform takes another reader's points to ours, at every state."""
+    model = import_model(MODELS / name, category)
+    file = next((MODELS / name).glob("*.urdf"))
+    scale = category.metres_per_unit if file.name == "mobility.urdf" else 1.0
+    robot = yourdfpy.URDF.load(str(file))
+    (hinge,) = (joint for joint in robot.actuated_joints if joint.type == "revolute")
+    racks = {j.name: j.limit.lower for j in robot.actuated_joints if j.type == "prismatic"}
+
+    # the vertices' correspondence and the zero state come from our own reading, the motion from theirs
+    (raw,) = label_parts(read_articulation(file, scale), category)
+    T = rigid(raw.links[0].mesh.vertices, model.parts[0].vertices)
+    to_rest = np.linalg.inv(T) @ rigid(raw.links[1].mesh.vertices, model.parts[1].vertices)
+    rest = Rotation.from_matrix(to_rest[:3, :3]).as_rotvec() @ raw.joints[0].axis
+    sign = float(np.sign(T[:3, :3] @ raw.joints[0].axis @ model.axes[0]))
+
+    for state in np.random.default_rng(0).uniform(*model.limits[0], 3):
+        robot.update_cfg({**racks, hinge.name: rest + sign * state})
+        links = [link.name for link in robot.robot.links if link.visuals]
+        base = np.concatenate([vertices_of(robot, link) for link in links if link != hinge.child])
+        theirs = [scale * base, scale * vertices_of(robot, hinge.child)]
+        for a, b in zip(theirs, model.posed_vertices(np.array([state])), strict=True):
+            assert largest_gap(a @ T[:3, :3].T + T[:3, 3], b) < 1e-6 * model.diagonal
+
+
+@pytest.mark.slow
+@needs_models
+@pytest.mark.parametrize(("name", "category"), REAL)
+def test_real_models_are_canonical(name, category):
+    model = import_model(MODELS / name, category)
+    boxes = model.part_boxes()
+    np.testing.assert_allclose(boxes[:, 0].min(0), -boxes[:, 1].max(0), atol=1e-9)
+    np.testing.assert_allclose(model.axes, [[1, 0, 0]], atol=1e-6)
+    np.testing.assert_allclose(model.limits, [category.joints[0].limits], atol=1e-6)
+    base, child = boxes.mean(1)
+    size = np.ptp(boxes, axis=1)
+    if category is LAPTOP:
+        assert child[1] > base[1]
+        assert child[2] < base[2]
+        assert size[0, 1] < 0.03
+        assert size[1, 2] < 0.03
+        assert 0.25 < size[0, 0] < 0.45
+        # both panels stand along the axes: the thin side of the smallest box around each, found by hull search
+        for part, thin in zip(model.parts, ([0, 1, 0], [0, 0, 1]), strict=True):
+            to_origin, extents = trimesh.bounds.oriented_bounds(part.vertices)
+            normal = to_origin[:3, :3][extents.argmin()]
+            assert abs(normal @ thin) > np.cos(np.radians(1.0))
+    else:
+        assert child[2] > base[2] + 0.15
+        assert 0.4 < size[0, 0] < 0.7
+        # opening brings the door's top edge forward and down
+        door = model.posed_vertices(model.limits[:, 1])[1]
+        assert door[:, 2].max() > boxes[:, 1, 2].max() + 0.4
+        assert door[:, 1].max() < base[1]
+
+
+@pytest.mark.slow
+@needs_models
+def test_real_models_survive_our_own_writer(tmp_path):
+    for name, category in REAL:
+        model = import_model(MODELS / name, category)
+        assert_same(read_urdf(write_urdf(model, tmp_path / name), category), model, 1e-9, 1e-12)
+
+
+@needs_models
+def test_real_models_of_another_kind_are_refused():
+    drawers = load_folder(MODELS / "drawer", DISHWASHER)
+    assert not drawers.models
+    reasons = {refusal.name: refusal.reason for refusal in drawers.refused}
+    assert "'Table'" in reasons["23724"]
+    assert "'StorageFurniture'" in reasons["45261"]
+    assert "revolute" in reasons["mk_station"]
+    with pytest.raises(InputError, match="'Microwave'"):
+        import_model(MODELS / "microwave" / "7221", DISHWASHER)
+    for name in ("101284", "101287"):
+        with pytest.raises(InputError, match="'Eyeglasses'"):
+            import_model(MODELS / "eyeglasses" / name, LAPTOP)
+    with pytest.raises(InputError, match="drawer"):
+        import_model(MODELS / "drawer" / "45261", CHEST)
+
+
+def test_every_rest_rule_has_its_geometry():
+    assert {rule for _, rule in REST_RULES} == set(get_args(RestRule))

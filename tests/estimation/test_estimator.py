@@ -1,0 +1,202 @@
+"""The estimator on rendered views of unseen objects, with the shipped weights."""
+
+import json
+
+import numpy as np
+import pytest
+import torch
+import yourdfpy
+
+import omad
+from omad.data.procedural import generate
+from omad.data.rendering.standard_views import View, standard_view
+from omad.estimation.estimator import Estimator
+from omad.evaluation.baselines.adam import adam_refinement
+from omad.evaluation.evaluate import true_pose
+from omad.geometry.joint_kinds import REVOLUTE
+from omad.model.checkpoint import shipped_categories
+
+NAMES = shipped_categories()
+
+
+@pytest.fixture(scope="module", params=NAMES)
+def estimator(request) -> Estimator:
+    return Estimator.from_pretrained(request.param, device="cpu")
+
+
+def some_views(estimator: Estimator, count: int = 4) -> list[View]:
+    category = estimator.category
+    return [standard_view(generate(category, i, "test", 7), category, (7, i)) for i in range(count)]
+
+
+def observe(view: View) -> omad.Observation:
+    return omad.Observation.from_depth(view.depth, view.camera.K)
+
+
+def test_weights_are_shipped():
+    assert {"laptop", "dishwasher"} <= set(NAMES)
+
+
+def test_five_lines(estimator):
+    view = some_views(estimator, 1)[0]
+    estimate = estimator(observe(view))
+    truth = true_pose(view, estimator.category)
+    assert np.degrees(abs(estimate.joints[0].state - view.states[0])) < 10
+    assert estimate.converged
+    assert estimate.T_camera_base.shape == (4, 4)
+    assert estimate.keypoints.shape == (estimator.category.num_keypoints, 3)
+    assert estimate.covariance.shape[0] == 6 + len(truth.states) + len(estimate.beta)
+    assert np.linalg.eigvalsh(estimate.covariance).min() > -1e-9
+    assert np.allclose(estimate.T_camera_base[:3, :3] @ estimate.T_camera_base[:3, :3].T, np.eye(3), atol=1e-5)
+
+
+@pytest.mark.slow
+def test_a_batch_gives_what_single_calls_give(estimator):
+    observations = [observe(view) for view in some_views(estimator)]
+    together = estimator(observations)
+    differences = []
+    for one, observation in zip(together, observations, strict=True):
+        alone = estimator(observation)
+        difference = np.linalg.norm(alone.keypoints - one.keypoints, axis=1)
+        # a rounding error may put a point on the other side of a neighbourhood's border, which moves keypoints a little
+        assert (difference < 0.1 * one.keypoint_std).all()
+        assert np.allclose(alone.joint_states, one.joint_states, atol=2e-3)
+        differences.append(difference)
+    assert np.median(differences) < 1e-5
+
+
+def test_the_same_input_gives_the_same_answer(estimator):
+    observation = observe(some_views(estimator, 1)[0])
+    assert np.allclose(estimator(observation).keypoints, estimator(observation).keypoints, atol=1e-6)
+
+
+def test_cloud_and_depth_agree(estimator):
+    view = some_views(estimator, 1)[0]
+    observation = observe(view)
+    shuffled = np.random.default_rng(0).permutation(observation.points)
+    a, b = estimator(observation), estimator(omad.Observation.from_points(shuffled))
+    assert np.degrees(abs(a.joints[0].state - b.joints[0].state)) < 3
+    assert np.linalg.norm(a.keypoints - b.keypoints, axis=1).mean() < 0.05 * np.ptp(a.keypoints, axis=0).max()
+
+
+@pytest.mark.slow
+def test_part_labels_match_the_rendered_ones(estimator):
+    shares = []
+    for view in some_views(estimator):
+        observation = observe(view)
+        columns, rows = observation.pixels.T
+        shares.append((estimator(observation).part_labels == view.labels[rows, columns]).mean())
+    assert np.mean(shares) > 0.9
+
+
+@pytest.mark.slow
+def test_what_is_no_such_object_is_doubtful(estimator):
+    rng = np.random.default_rng(0)
+    ball = rng.normal(size=(3000, 3))
+    ball = 0.05 * ball / np.linalg.norm(ball, axis=1, keepdims=True) + [0, 0, 1.0]
+    assert any(warning.startswith("network: ") for warning in estimator(omad.Observation.from_points(ball)).warnings)
+    good = [estimator(observe(view)) for view in some_views(estimator)]
+    assert not any(warning.startswith("network: ") for estimate in good for warning in estimate.warnings)
+
+
+@pytest.mark.parametrize(
+    ("limits", "state", "fraction"),
+    [((0.0, 1.5), 0.3, 0.2), ((-1.2, 0.0), -0.3, 0.25), ((-1.4, 1.5), -1.4, 0.0), ((-1.2, 0.0), 0.06, -0.05)],
+)
+def test_travel_begins_at_the_limit_nearer_to_rest(limits, state, fraction):
+    axis = np.array([1.0, 0, 0])
+    joint = omad.estimation.estimate.JointEstimate("joint", "revolute", state, 0.0, limits, axis, None, REVOLUTE)
+    assert joint.fraction == pytest.approx(fraction)
+
+
+def test_few_points_still_give_an_answer(estimator):
+    observation = observe(some_views(estimator, 1)[0])
+    sparse = omad.Observation.from_points(observation.points[:: len(observation.points) // 60])
+    assert np.isfinite(estimator(sparse).keypoints).all()
+
+
+def test_json_has_what_is_promised(estimator):
+    estimate = estimator(observe(some_views(estimator, 1)[0]))
+    answer = json.loads(estimate.to_json())
+    assert {"category", "converged", "residual", "beta", "T_camera_base", "joints", "parts", "keypoints"} <= set(answer)
+    joint = answer["joints"][0]
+    assert {"name", "type", "state", "state_std", "limits", "fraction", "axis", "pivot"} == set(joint)
+    assert joint["state_std"] > 0
+    assert {"name", "T_camera_part", "points"} == set(answer["parts"][0])
+    assert sum(part["points"] for part in answer["parts"]) == len(estimate.part_labels)
+    assert {"joints", "T_camera_base"} <= set(answer["initial"])
+
+
+def test_urdf_of_an_estimate_moves_as_the_estimate_says(estimator, tmp_path):
+    estimate = estimator(observe(some_views(estimator, 1)[0]))
+    estimate.save_urdf(tmp_path / "object.urdf")
+    state = json.loads((tmp_path / "state.json").read_text())
+    robot = yourdfpy.URDF.load(str(tmp_path / "object.urdf"))
+    robot.update_cfg(state["joint_states"])
+    for node in robot.scene.graph.nodes_geometry:
+        T_base_mesh, geometry = robot.scene.graph[node]
+        T = np.array(state["T_camera_base"]) @ T_base_mesh
+        corners = np.asarray(robot.scene.geometry[geometry].vertices) @ T[:3, :3].T + T[:3, 3]
+        gap = np.linalg.norm(corners[:, None] - estimate.keypoints[None], axis=-1).min(1)
+        assert gap.max() < 1e-5
+
+
+def test_waypoints_follow_the_joint(estimator):
+    estimate = estimator(observe(some_views(estimator, 1)[0]))
+    part = estimator.category.parts[1].name
+    model = estimate.object_model()
+    target = model.limits[0, 1]
+    point = estimate.keypoints[np.array(estimator.category.part_of_keypoint) == 1][0]
+    path = estimate.waypoints(part, point, target, steps=7)
+    assert np.allclose(path[0], point)
+    canonical = np.linalg.inv(estimate.T_camera_part[1]) @ np.append(point, 1)
+    moved = model.part_transforms(np.array([target]), estimate.T_camera_base)[1] @ canonical
+    assert np.allclose(path[-1], moved[:3], atol=1e-5)
+    with pytest.raises(omad.InputError, match="does not move"):
+        estimate.waypoints(estimator.category.parts[0].name, point, target)
+
+
+def test_what_is_known_is_kept_and_helps(estimator):
+    view = some_views(estimator, 1)[0]
+    observation, truth = observe(view), true_pose(view, estimator.category)
+    down = -view.T_camera_base[:3, 1]
+    plain = estimator(observation)
+    known = omad.Known(beta=plain.beta, joint_states=view.states, gravity=down)
+    held = estimator(observation, known)
+    assert np.allclose(held.beta, plain.beta, atol=1e-6)
+    assert np.allclose(held.joint_states, view.states, atol=1e-6)
+    assert np.allclose(-held.T_camera_base[:3, 1], down, atol=1e-5)
+    assert held.joints[0].state_std == 0
+    assert np.linalg.norm(held.T_camera_part[0] - truth.T_camera_part[0]) < 0.5
+    with pytest.raises(omad.InputError, match="known gravity"):
+        estimator(observation, omad.Known(gravity=np.zeros(3)))
+    with pytest.raises(omad.InputError, match="known beta"):
+        estimator(observation, omad.Known(beta=np.zeros(3)))
+
+
+@pytest.mark.slow
+def test_adam_recipe_is_an_option_and_agrees(estimator):
+    observation = observe(some_views(estimator, 1)[0])
+    adam = Estimator(estimator.net, refine=adam_refinement)(observation)
+    ours = estimator(observation)
+    assert np.degrees(abs(adam.joints[0].state - ours.joints[0].state)) < 5
+    assert adam.seconds["refinement"] > 10 * ours.seconds["refinement"]
+
+
+@pytest.mark.slow
+def test_show_draws_a_picture(estimator, tmp_path):
+    observation = observe(some_views(estimator, 1)[0])
+    omad.show(observation, estimator(observation), tmp_path / "picture.png")
+    from PIL import Image
+
+    pixels = np.asarray(Image.open(tmp_path / "picture.png").convert("L"))
+    assert pixels.shape[0] > 500
+    assert pixels.std() > 10
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs CUDA")
+def test_cpu_and_cuda_agree(estimator):
+    observations = [observe(view) for view in some_views(estimator)]
+    there = Estimator.from_pretrained(estimator.category.name, device="cuda")(observations)
+    for a, b in zip(estimator(observations), there, strict=True):
+        assert np.allclose(a.keypoints, b.keypoints, atol=2e-3)

@@ -1,0 +1,120 @@
+"""Backbone and networks against brute force, and the properties that users rely on."""
+
+import pytest
+import torch
+
+from helpers.categories import CATEGORIES, LAPTOP
+from omad.model.backbones import BACKBONES
+from omad.model.backbones.pointnet2 import gather, interpolate, nearest
+from omad.model.network_input import first_frame, to_input_frame
+from omad.model.omadnet import OmadNet
+from omad.model.prior import OmadPrior
+from omad.model.priornet import PriorNet
+from omad.training.train_prior import PriorLossWeights, prior_losses
+
+
+def cloud(batch: int = 2, points: int = 512, seed: int = 0) -> torch.Tensor:
+    return torch.randn(batch, points, 3, generator=torch.Generator().manual_seed(seed)) * 0.4
+
+
+def test_nearest_matches_brute_force():
+    points = cloud(2, 200)
+    squared, index = nearest(points[:, :20], points, 5)
+    brute = torch.cdist(points[:, :20].double(), points.double()).square()
+    expected = brute.topk(5, largest=False).values
+    assert torch.allclose(squared.sort().values.double(), expected, atol=1e-5)
+    assert torch.allclose(brute.gather(2, index).sort().values, expected, atol=1e-5)
+
+
+def test_gather_takes_rows():
+    values = torch.arange(24.0).reshape(2, 4, 3)
+    index = torch.tensor([[[0, 3], [1, 1]], [[2, 0], [3, 3]]])
+    taken = gather(values, index)
+    assert torch.equal(taken[1, 0, 0], values[1, 2])
+    assert torch.equal(taken[0, 0, 1], values[0, 3])
+
+
+def test_interpolation_reproduces_values_at_the_points_themselves():
+    points = cloud(2, 50)
+    values = torch.randn(2, 50, 7, generator=torch.Generator().manual_seed(1))
+    assert torch.allclose(interpolate(points, points, values), values, atol=0.02)
+
+
+@pytest.fixture(scope="module")
+def net() -> OmadNet:
+    torch.manual_seed(0)
+    return OmadNet(LAPTOP, OmadPrior(LAPTOP, generator=torch.Generator().manual_seed(0))).eval()
+
+
+@torch.no_grad()
+def test_shapes_and_ranges(net):
+    out = net(cloud())
+    assert out.keypoints.shape == (2, LAPTOP.num_keypoints, 3)
+    assert out.states.shape == (2, 1)
+    assert out.part_logits.shape == (2, 512, 2)
+    assert torch.allclose(out.quaternion.norm(dim=-1), torch.ones(2))
+
+
+@torch.no_grad()
+def test_one_cloud_of_a_batch_does_not_see_the_others(net):
+    a, b = cloud(seed=1), cloud(seed=2)
+    together = net(torch.cat([a, b]))
+    assert torch.allclose(together.keypoints[:2], net(a).keypoints, atol=1e-5)
+
+
+@torch.no_grad()
+def test_paper_size_runs():
+    net = OmadNet(LAPTOP, OmadPrior(LAPTOP), BACKBONES["paper"]).eval()
+    assert net(cloud(1, 1024)).keypoints.isfinite().all()
+
+
+def test_every_weight_of_the_network_learns(net):
+    out = net(cloud())
+    total = sum(x.square().sum() for x in (out.beta, out.quaternion @ torch.randn(4, 1), out.translation, out.states))
+    (total + out.keypoints.square().sum() + out.log_sigma.sum() + out.part_logits.square().sum()).backward()
+    missing = [n for n, p in net.named_parameters() if p.requires_grad and (p.grad is None or not p.grad.any())]
+    assert missing == []
+
+
+@torch.no_grad()
+def test_input_frame_round_trip():
+    points = cloud() + 3
+    frame = first_frame(points)
+    local = to_input_frame(points, frame)
+    assert torch.allclose(local.mean(1), torch.zeros(2, 3), atol=1e-5)
+    assert torch.allclose(local @ frame[:, :3, :3].mT + frame[:, None, :3, 3], points, atol=1e-5)
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs CUDA")
+@torch.no_grad()
+def test_cpu_and_cuda_agree(net):
+    here = net(cloud())
+    there = net.to("cuda")(cloud().to("cuda"))
+    net.to("cpu")
+    assert torch.allclose(here.keypoints, there.keypoints.cpu(), atol=1e-3)
+
+
+@pytest.mark.parametrize("name", sorted(CATEGORIES))
+def test_nodes_lie_within_their_part_and_mirror(name):
+    category = CATEGORIES[name]
+    net = PriorNet(category, generator=torch.Generator().manual_seed(0))
+    points = cloud(2, 300)
+    labels = torch.arange(300).expand(2, -1) % len(category.parts)
+    with torch.no_grad():
+        nodes = net(points, labels).nodes
+    low = torch.stack([points[b][labels[b] == 1].amin(0) for b in range(2)])
+    on_part = nodes[:, net.part_of == 1]
+    assert (on_part[..., 1:] >= low[:, None, 1:] - 1e-5).all()
+    image = net.prior.is_image
+    assert torch.allclose(nodes[:, image], nodes[:, net.prior.source[image]] * torch.tensor([-1.0, 1, 1]))
+
+
+def test_prior_losses_have_every_term_of_the_paper():
+    net = PriorNet(LAPTOP)
+    points = cloud(3, 300)
+    labels = (points[..., 1] > 0).long()
+    axes, pivots = torch.tensor([[[1.0, 0, 0]]]).expand(3, 1, 3), torch.zeros(3, 1, 3)
+    terms = prior_losses(net, points, labels, axes, pivots, PriorLossWeights())
+    assert {"chamfer", "coverage", "surface", "separation", "joint", "beta"} <= set(terms)
+    sum(terms.values()).backward()
+    assert all(p.grad is not None and p.grad.isfinite().all() for p in net.parameters())

@@ -1,0 +1,123 @@
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+
+from helpers.categories import CATEGORIES
+from omad.geometry.transforms import make_transform, so3_exp
+from omad.model.prior import OmadPrior, mirror_map
+from omad.objects.category import Category, JointSpec, PartSpec
+
+MIRROR = torch.tensor([-1.0, 1.0, 1.0])
+
+SWAPPING = Category(
+    name="swapping",
+    metres_per_unit=1.0,
+    parts=(PartSpec("frame", 4, mirror=0), PartSpec("left", 3, mirror=2), PartSpec("right", 3, mirror=1)),
+    joints=(
+        JointSpec("left", "revolute", 0, (0.0, 1.0, 0.0), (0.0, 1.0)),
+        JointSpec("right", "prismatic", 0, (0.0, 0.0, 1.0), (-1.0, 0.0)),
+    ),
+    basis_size=5,
+)
+PLAIN = Category(
+    name="plain",
+    metres_per_unit=1.0,
+    parts=(PartSpec("one", 3), PartSpec("two", 5)),
+    joints=(JointSpec("pin", "revolute", 0, (0.0, 1.0, 0.0), (0.0, 1.0)),),
+)
+ALL = (*CATEGORIES.values(), SWAPPING, PLAIN)
+
+
+def prior_of(category: Category, **options) -> OmadPrior:
+    return OmadPrior(category, generator=torch.Generator().manual_seed(0), **options)
+
+
+@pytest.mark.parametrize("category", ALL, ids=lambda c: c.name)
+def test_mirrored_keypoints_are_images_for_every_beta(category: Category) -> None:
+    prior = prior_of(category)
+    points = prior.keypoints(torch.randn(4, prior.basis_size))
+    start = [0]
+    for part in category.parts:
+        start.append(start[-1] + part.keypoints)
+    for index, part in enumerate(category.parts):
+        mine = points[:, start[index] : start[index + 1]]
+        if part.mirror == index:
+            half = part.keypoints // 2
+            torch.testing.assert_close(mine[:, half:], mine[:, :half] * MIRROR)
+        elif part.mirror is not None:
+            other = points[:, start[part.mirror] : start[part.mirror + 1]]
+            torch.testing.assert_close(mine, other * MIRROR)
+
+
+@pytest.mark.parametrize("category", ALL, ids=lambda c: c.name)
+def test_only_what_no_mirror_gives_is_learned_and_all_of_it_gets_a_gradient(category: Category) -> None:
+    prior = prior_of(category)
+    images = sum(mirror_map(category).is_image)
+    assert prior.learned_basis.shape == (category.num_keypoints - images, 3, prior.basis_size)
+    prior.basis.square().sum().backward()
+    assert prior.learned_basis.grad is not None
+    assert (prior.learned_basis.grad != 0).all()
+
+
+def test_mirror_map_of_two_parts_that_swap() -> None:
+    mirror = mirror_map(SWAPPING)
+    assert mirror.source == (0, 1, 0, 1, 4, 5, 6, 4, 5, 6)
+    assert mirror.is_image == (False, False, True, True, False, False, False, True, True, True)
+
+
+def test_shape_is_linear() -> None:
+    prior = prior_of(PLAIN)
+    beta = torch.randn(3, prior.basis_size)
+    flat = prior.basis.reshape(-1, prior.basis_size)
+    torch.testing.assert_close(prior.keypoints(beta).flatten(1), beta @ flat.T)
+    torch.testing.assert_close(prior.keypoints(2 * beta), 2 * prior.keypoints(beta))
+
+
+@pytest.mark.parametrize("category", ALL, ids=lambda c: c.name)
+def test_joints_are_unit_axes_that_start_near_the_spec_and_pivots_only_where_they_mean_something(
+    category: Category,
+) -> None:
+    prior = prior_of(category)
+    joints = prior.joints(0.1 * torch.randn(6, prior.basis_size))
+    torch.testing.assert_close(joints.axes.norm(dim=-1), torch.ones(6, len(category.joints)))
+    nominal = torch.tensor([joint.axis for joint in category.joints])
+    assert ((joints.axes * nominal).sum(-1) > math.cos(math.radians(15))).all()
+    for index, joint in enumerate(category.joints):
+        assert (joints.pivots[:, index] == 0).all() == (joint.type == "prismatic")
+
+
+def test_deform_moves_base_and_child_as_the_tree_says() -> None:
+    prior = prior_of(SWAPPING).double()
+    draw = torch.Generator().manual_seed(1)
+    beta = torch.randn(2, 5, generator=draw, dtype=torch.float64)
+    T = make_transform(so3_exp(torch.randn(2, 3, generator=draw, dtype=torch.float64)), torch.ones(2, 3).double())
+    states = torch.tensor([[0.3, -0.2], [0.0, 0.0]], dtype=torch.float64)
+    points = prior.deform(beta, states, T)
+    rest = prior.keypoints(beta)
+    placed = rest @ T[:, :3, :3].mT + T[:, None, :3, 3]
+    torch.testing.assert_close(points[:, :4], placed[:, :4])
+    torch.testing.assert_close(points[1], placed[1])
+    shift = -0.2 * (T[0, :3, :3] @ prior.joints(beta).axes[0, 1])
+    torch.testing.assert_close(points[0, 7:], placed[0, 7:] + shift)
+    pivot = T[0, :3, :3] @ prior.joints(beta).pivots[0, 0] + T[0, :3, 3]
+    torch.testing.assert_close((points[0, 4:7] - pivot).norm(dim=-1), (placed[0, 4:7] - pivot).norm(dim=-1))
+    assert (points[0, 4:7] - placed[0, 4:7]).norm(dim=-1).min() > 1e-3
+
+
+def test_encode_inverts_shape() -> None:
+    prior = prior_of(PLAIN).double()
+    beta = torch.randn(4, prior.basis_size, dtype=torch.float64)
+    torch.testing.assert_close(prior.encode(prior.keypoints(beta)), beta)
+
+
+def test_same_generator_same_prior_and_sizes_can_be_chosen() -> None:
+    one, two = prior_of(PLAIN, basis_size=4, hidden=80), prior_of(PLAIN, basis_size=4, hidden=80)
+    assert one.basis_size == 4
+    assert one.joint_hidden.out_features == 80
+    for a, b in zip(one.parameters(), two.parameters(), strict=True):
+        assert torch.equal(a, b)
+    assert "beta_mean" in one.state_dict()
+    assert "beta_covariance" in one.state_dict()

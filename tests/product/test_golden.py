@@ -1,0 +1,93 @@
+"""Shipped weights on a small committed benchmark: clouds of unseen procedural objects, half of them noisy."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from omad.data.procedural import generate
+from omad.estimation.estimator import Estimator
+from omad.evaluation.keypoint_spread import keypoint_spread
+from omad.evaluation.metrics import pose_errors
+from omad.evaluation.view_agreement import compare_views
+from omad.model.checkpoint import find_weights, load
+from omad.model.omadnet import OmadNet
+from omad.model.priornet import PriorNet
+from omad.objects.pose import ObjectPose
+from omad.sensing.observation import Observation
+
+DATA = Path(__file__).parents[1] / "golden"
+# One view of 24 seen the wrong way round costs the mean axis error up to 7 degrees, hence its limits.
+# mean joint state error (degrees, or category units), mean axis error in degrees, mean axis distance in category units
+LIMITS = {
+    "dishwasher": (3.0, 6.0, 0.07),
+    "drawer": (0.07, 2.5, None),
+    "eyeglasses": (3.6, 3.0, 0.025),
+    "laptop": (1.6, 5.0, 0.03),
+    "scissors": (4.5, 2.2, 0.04),
+}
+
+
+@pytest.fixture(scope="module", params=sorted(LIMITS))
+def name(request) -> str:
+    return request.param
+
+
+@pytest.mark.slow
+def test_errors_stay_below_the_stated_ones(name):
+    estimator = Estimator.from_pretrained(name, device="cpu")
+    category = estimator.category
+    unit, revolute = category.metres_per_unit, category.turning
+    with np.load(DATA / f"golden_{name}.npz") as file:
+        data = dict(file)
+    observations = [Observation.from_points(points * 2e-4) for points in data["points"]]
+    estimates = estimator(observations)
+    found = []
+    for i, estimate in enumerate(estimates):
+        truth = ObjectPose(data["states"][i], data["axes"][i], data["pivots"][i], data["T_camera_part"][i])
+        found.append(pose_errors(estimate.pose(), truth, data["part_boxes"][i], category))
+    state = np.array([e.joint_state for e in found])
+    axis = np.degrees([e.axis for e in found])
+    distance = np.array([e.axis_distance for e in found]) / unit
+    means = np.where(revolute, np.degrees(state), state / unit).mean(), axis.mean(), distance.mean()
+    for mean, limit in zip(means, LIMITS[name], strict=True):
+        assert limit is None or mean <= limit, means
+    assert np.median(axis) < 3.0
+    assert sum(estimate.converged for estimate in estimates) >= len(estimates) - 1
+
+
+@pytest.mark.slow
+def test_refinement_improves_on_the_network(name):
+    estimator = Estimator.from_pretrained(name, device="cpu")
+    with np.load(DATA / f"golden_{name}.npz") as file:
+        points, states = file["points"], file["states"]
+    estimates = estimator([Observation.from_points(p * 2e-4) for p in points])
+    initial = np.mean(
+        [
+            [abs(j.state - s) for j, s in zip(e.initial.joints, t, strict=True)]
+            for e, t in zip(estimates, states, strict=True)
+        ]
+    )
+    refined = np.mean(
+        [[abs(j.state - s) for j, s in zip(e.joints, t, strict=True)] for e, t in zip(estimates, states, strict=True)]
+    )
+    assert refined < 0.85 * initial
+
+
+@pytest.mark.slow
+def test_keypoints_correspond_between_unseen_objects(name):
+    net = load(PriorNet, find_weights(name) / "prior")
+    spread = keypoint_spread(net, [generate(net.category, i, "test", 3) for i in range(40)])
+    assert spread.mean_wander < 0.05
+    # since there are chests of trays, chests differ in more ways than beta has numbers
+    assert spread.model_error < (0.035 if name == "drawer" else 0.03)
+    assert spread.pivot_error < 0.07
+
+
+@pytest.mark.slow
+def test_training_views_are_like_rendered_ones(name):
+    folder = find_weights(name)
+    net = load(OmadNet, folder)
+    models = [generate(net.category, i, "test", 3) for i in range(20)]
+    agreement = compare_views(net, load(PriorNet, folder / "prior"), models, views=300)
+    assert 0.8 < agreement.ratio < 1.1, agreement  # docs/results.md says how far it is from one, and why

@@ -1,0 +1,41 @@
+"""The house is in order: short files, small folders, and no code that asks for a category by its name.
+
+That rooms import downward only is checked by ``make check``.
+"""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+import omad
+from omad.objects.builtin import builtin_names
+
+ROOT = Path(omad.__file__).parent
+FOLDERS = [path for path in (ROOT, *ROOT.rglob("*")) if path.is_dir() and "__pycache__" not in path.parts]
+FILES = sorted(ROOT.rglob("*.py"))
+
+
+def test_files_stay_short():
+    assert not {path.name: n for path in FILES if (n := len(path.read_text().splitlines())) > 400}
+
+
+def test_folders_stay_small():
+    kept = ("__pycache__", "__init__.py", "__main__.py", "py.typed")
+    counts = {str(folder.relative_to(ROOT)): sum(x.name not in kept for x in folder.iterdir()) for folder in FOLDERS}
+    assert not {folder: count for folder, count in counts.items() if count > 14}
+
+
+@pytest.mark.parametrize("room", [path for path in FILES if path.name == "__init__.py"], ids=lambda p: p.parent.name)
+def test_every_room_says_what_it_is_for(room):
+    assert ast.get_docstring(ast.parse(room.read_text()))
+
+
+@pytest.mark.slow
+def test_no_code_asks_for_a_category_by_name():
+    names = set(builtin_names())
+    for path in FILES:
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Compare | ast.MatchValue):
+                asked = {value.value for value in ast.walk(node) if isinstance(value, ast.Constant)}
+                assert not asked & names, f"{path.relative_to(ROOT)}:{node.lineno}"

@@ -1,0 +1,229 @@
+"""Depth and clouds to observations: geometry, cropping from clutter, and every kind of bad input."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+
+from helpers.categories import CATEGORIES
+from omad.common.errors import InputError
+from omad.data.procedural import GENERATORS, generate
+from omad.data.rendering.depth_noise import ON, add_noise
+from omad.data.rendering.rasteriser import rasterise
+from omad.data.rendering.standard_views import standard_view
+from omad.geometry.camera import STANDARD_CAMERA, Camera
+from omad.sensing.observation import Observation
+
+CAMERA = Camera(64, 48, 60.0, 61.0, 31.5, 23.5)
+K = CAMERA.K
+
+
+def bump() -> np.ndarray:
+    depth = np.zeros((48, 64), dtype=np.float32)
+    depth[10:30, 20:50] = np.random.default_rng(0).uniform(1, 2, (20, 30))
+    return depth
+
+
+def refused(*words: str, **arguments: object) -> None:
+    """from_depth refuses with one line that holds all the words."""
+    with pytest.raises(InputError) as error:
+        Observation.from_depth(**{"depth_m": bump(), "K": K, **arguments})  # type: ignore[arg-type]
+    assert "\n" not in str(error.value)
+    for word in words:
+        assert word in str(error.value)
+
+
+# geometry
+
+
+@pytest.mark.parametrize("form", [K, (60.0, 61.0, 31.5, 23.5), CAMERA, torch.tensor(K)])
+def test_points_project_back_onto_their_pixels(form: object) -> None:
+    depth = bump()
+    seen = Observation.from_depth(depth, form)
+    assert seen.points.dtype == np.float32
+    assert seen.points.shape == (600, 3)
+    assert seen.camera == CAMERA
+    assert seen.pixels is not None
+    u, v = seen.pixels.T
+    assert np.allclose(seen.points[:, 2], depth[v, u])
+    assert np.allclose(seen.points @ K[0] / seen.points[:, 2], u, atol=1e-4)
+    assert np.allclose(seen.points @ K[1] / seen.points[:, 2], v, atol=1e-4)
+    assert seen.mask is not None
+    assert np.array_equal(seen.mask, depth > 0)
+    assert seen.warnings == ()
+
+
+def test_every_kind_of_missing_measurement_is_left_out() -> None:
+    depth = bump().astype(np.float64)
+    depth[10, 20:25] = np.nan, np.inf, -np.inf, -1.0, 0.0
+    seen = Observation.from_depth(depth, K)
+    assert len(seen.points) == 595
+    assert seen.depth is not None
+    assert not seen.depth[10, 20:25].any()
+
+
+def test_mask_and_box_combine_and_boxes_are_half_open() -> None:
+    box = Observation.from_depth(bump(), K, box=(20, 10, 30, 16))
+    assert box.pixels is not None
+    assert box.pixels.min(0).tolist() == [20, 10]
+    assert box.pixels.max(0).tolist() == [29, 15]
+    mask = np.zeros((48, 64), dtype=np.uint8)
+    mask[:20] = 255
+    assert len(Observation.from_depth(bump(), K, mask=mask).points) == 300
+    assert len(Observation.from_depth(bump(), K, mask=mask, box=(-5, -5, 30, 100)).points) == 100
+
+
+# bad depth, bad intrinsics, bad crops
+
+
+def test_depth_of_a_wrong_kind() -> None:
+    refused("(H, W)", "(48, 64, 3)", depth_m=np.ones((48, 64, 3)))
+    refused("dtype", depth_m=np.ones((48, 64), dtype=bool))
+    refused("array", depth_m=[[1.0, 2.0], [3.0]])
+
+
+def test_depth_without_measurements() -> None:
+    refused("all are zero or NaN", depth_m=np.zeros((48, 64)))
+    refused("all are zero or NaN", depth_m=np.full((48, 64), np.nan))
+    few = np.zeros((48, 64))
+    few[0, :49] = 1
+    refused("49", "50", depth_m=few)
+
+
+def test_millimetres_are_named() -> None:
+    millimetres = bump() * 1000
+    refused("millimetres", "0.001", depth_m=millimetres)
+    refused("millimetres", "0.001", depth_m=millimetres.astype(np.uint16))
+    refused("integers", "0.001", depth_m=np.ones((48, 64), dtype=np.int32))
+    with pytest.raises(InputError, match="millimetres"):
+        Observation.from_points(np.random.default_rng(0).normal(700, 100, (100, 3)))
+
+
+def test_intrinsics() -> None:
+    refused("none given", K=None)
+    refused("(2, 2)", K=np.eye(2))
+    refused("positive", K=(0, 60, 32, 24))
+    refused("64x48", "640x480", K=STANDARD_CAMERA)
+    warnings = Observation.from_depth(bump(), (600, 600, 320, 240)).warnings
+    assert len(warnings) == 1
+    assert "principal point" in warnings[0]
+
+
+def test_crops() -> None:
+    refused("mask", "(10, 10)", "(48, 64)", mask=np.ones((10, 10)))
+    refused("0 of 600", mask=np.zeros((48, 64)))
+    refused("outside", "64x48", box=(70, 0, 80, 20))
+    refused("x1 < x2", box=(30, 0, 20, 20))
+    refused("x1, y1, x2, y2", box=(1, 2, 3))
+    refused("x1, y1, x2, y2", box=(1, 2, 3, float("nan")))
+    refused("'plane'", segment="magic")
+
+
+# clouds
+
+
+def test_cloud() -> None:
+    points = np.random.default_rng(0).uniform(0.5, 1, (100, 3))
+    points[3] = np.nan
+    points[4] = 0
+    seen = Observation.from_points(points)
+    assert seen.points.shape == (98, 3)
+    assert seen.depth is None
+    assert seen.warnings == ()
+    behind = Observation.from_points(-points)
+    assert "camera frame" in behind.warnings[0]
+    for bad, word in ((points[:, :2], "(N, 3)"), (points[:40], "at least 50"), (np.full((99, 3), np.nan), "0 valid")):
+        with pytest.raises(InputError) as error:
+            Observation.from_points(bad)
+        assert word in str(error.value)
+
+
+def test_flying_points_are_dropped_on_request() -> None:
+    depth = np.zeros((48, 64), dtype=np.float32)
+    depth[5:40, 5:60] = 1 + 0.01 * np.random.default_rng(0).random((35, 55))
+    depth[5:40:7, 2] = (1.3, 1.5, 1.7, 1.9, 2.1)
+    assert len(Observation.from_depth(depth, K).points) == 35 * 55 + 5
+    kept = Observation.from_depth(depth, K, drop_flying=True)
+    assert 35 * 55 * 0.98 <= len(kept.points) <= 35 * 55
+    assert kept.points[:, 2].max() < 1.02
+
+
+# clutter
+
+
+def clutter(name: str, index: int, wall: bool, noisy: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Depth of a scene, and which pixels are the object's: a floor, a box, a post and perhaps a wall around it."""
+    category = CATEGORIES[name]
+    model = generate(category, index, "test")
+    view = standard_view(model, category, (0, index))
+    posed = model.posed_vertices(view.states)
+    ground, size = np.concatenate(posed).min(0)[1], model.diagonal
+
+    def block(extents: tuple[float, float, float], place: tuple[float, float, float]) -> trimesh.Trimesh:
+        mesh = trimesh.creation.box(np.multiply(extents, size))
+        mesh.apply_translation(np.multiply(place, size) + (0, ground + extents[1] * size / 2, 0))
+        return mesh
+
+    things = [trimesh.Trimesh(v, p.faces, process=False) for v, p in zip(posed, model.parts, strict=True)]
+    floor = block((8, 0.01, 8), (0, -0.01, 0))
+    things += [floor, block((0.3, 0.3, 0.3), (1.1, 0, -0.3)), block((0.1, 0.4, 0.1), (-1, 0, 0.1))]
+    if wall:
+        things.append(block((8, 4, 0.01), (0, 0, -2)))
+    scene = trimesh.util.concatenate(things)
+    labels = np.repeat(np.arange(len(things)), [len(t.faces) for t in things])
+    vertices = trimesh.transform_points(scene.vertices, view.T_camera_base)
+    seen = rasterise(vertices, scene.faces, labels, STANDARD_CAMERA)
+    depth = add_noise(seen.depth, ON if noisy else None, STANDARD_CAMERA, np.random.default_rng(0), seen.cos_view)
+    return depth, (seen.labels < len(posed)) & (depth > 0)
+
+
+THIN = (0.9, 0.6)
+"""Usual and least overlap of things that are millimetres thick: the floor, or noise, takes a temple along."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("noisy", [False, True])
+@pytest.mark.parametrize("name", sorted(GENERATORS))
+def test_an_object_is_cut_out_of_clutter(name: str, noisy: bool) -> None:
+    """Most scenes succeed by themselves, and those that do not are announced."""
+    usual, least = THIN if name in ("eyeglasses", "scissors") else (0.95, 0.8)
+    overlaps, doubtful = [], []
+    for index in range(10):
+        depth, truth = clutter(name, index, wall=index % 2 == 1, noisy=noisy)
+        found = Observation.from_depth(depth, STANDARD_CAMERA, segment="plane")
+        assert found.mask is not None
+        overlaps.append((found.mask & truth).sum() / (found.mask | truth).sum())
+        doubtful.append(bool(found.warnings))
+    assert np.median(overlaps) > usual
+    assert sum(overlap > least for overlap in overlaps) >= 8
+    assert all(overlap > least for overlap, doubt in zip(overlaps, doubtful, strict=True) if not doubt)
+
+
+@pytest.mark.slow
+def test_a_box_around_the_object_settles_what_is_meant() -> None:
+    for index in range(4):
+        depth, truth = clutter("laptop", index, wall=False, noisy=False)
+        rows, columns = np.nonzero(truth)
+        box = (columns.min() - 20, rows.min() - 20, columns.max() + 20, rows.max() + 20)
+        found = Observation.from_depth(depth, STANDARD_CAMERA, box=box, segment="plane")
+        assert found.mask is not None
+        assert (found.mask & truth).sum() / (found.mask | truth).sum() > 0.85
+
+
+@pytest.mark.slow
+def test_segmentation_is_repeatable_and_works_on_bare_clouds() -> None:
+    depth, _ = clutter("dishwasher", 0, wall=True, noisy=True)
+    first, second = (Observation.from_depth(depth, STANDARD_CAMERA, segment="plane") for _ in range(2))
+    assert np.array_equal(first.points, second.points)
+    cloud = Observation.from_depth(depth, STANDARD_CAMERA).points
+    again = Observation.from_points(cloud, segment="plane")
+    assert abs(len(again.points) - len(first.points)) < 0.01 * len(first.points)
+
+
+def test_without_a_plane_the_thing_itself_is_taken_with_a_warning() -> None:
+    ball = trimesh.creation.icosphere(4).vertices * 0.2 + (0, 0, 1)
+    seen = Observation.from_points(ball, segment="plane")
+    assert len(seen.points) > 0.9 * len(ball)
+    assert any("no table" in warning for warning in seen.warnings)

@@ -1,0 +1,439 @@
+"""A frame of one's own camera: its lens, its colour camera, its place in the world, and doubtful results."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from scipy.ndimage import binary_closing, map_coordinates
+from scipy.optimize import least_squares
+
+from helpers.command_line import LAPTOP, answer, refused, save_png
+from helpers.command_line import K as K_OPTION
+from helpers.pages import blocks
+from omad.cli.main import run
+from omad.common.errors import InputError
+from omad.data.procedural import generate
+from omad.data.rendering.depth_noise import LEVELS, add_noise
+from omad.data.rendering.standard_views import View, standard_view
+from omad.estimation.category_ranking import rank, suspected
+from omad.estimation.checks import doubts
+from omad.estimation.estimate import Estimate
+from omad.estimation.estimator import Estimator
+from omad.estimation.world import gravity_in_camera, in_world
+from omad.geometry.camera import STANDARD_CAMERA, Camera
+from omad.geometry.lens import Distortion
+from omad.geometry.rigid import carry
+from omad.objects.category_file import get_category
+from omad.sensing.camera_files import CameraFile, parse_distortion, read_camera, read_transform
+from omad.sensing.colour_mask import ColourCamera
+from omad.sensing.observation import Observation
+
+BROWN = (0.12, -0.25, 0.0009, -0.0006, 0.08)
+LENSES = [
+    Distortion("plumb_bob", BROWN),
+    Distortion("rational_polynomial", (0.5, -2.6, 0.0007, -0.0003, 1.5, 0.4, -2.4, 1.4)),
+    Distortion("inverse_brown_conrady", BROWN),
+    Distortion("equidistant", (-0.01, 0.02, -0.03, 0.01)),
+]
+K = np.array([[600.0, 0, 319.5], [0, 600, 239.5], [0, 0, 1]])
+
+
+@cache
+def laptop_view() -> View:
+    """One that shows both parts well: of a lid from its edge, a mask holds more of the background than of the lid."""
+    category = get_category("laptop")
+    return standard_view(generate(category, 0, "test"), category, (0, 1003))
+
+
+@cache
+def shared_estimator(name: str = "laptop") -> Estimator:
+    return Estimator.from_pretrained(name)
+
+
+@cache
+def laptop_observation() -> Observation:
+    return Observation.from_depth(laptop_view().depth, K)
+
+
+@cache
+def laptop_estimate() -> Estimate:
+    return shared_estimator()(laptop_observation())
+
+
+def cloud_of(depth: np.ndarray) -> np.ndarray:
+    rows, columns = np.nonzero(depth)
+    return np.stack([(columns - 319.5) / 600, (rows - 239.5) / 600, np.ones(len(rows))], 1) * depth[rows, columns, None]
+
+
+@cache
+def on_a_table() -> tuple[np.ndarray, np.ndarray]:
+    """Depth (480, 640) of the laptop on a table, and where in it the laptop is."""
+    view = laptop_view()
+    up = view.T_camera_base[:3, 1]
+    height = (cloud_of(view.depth) @ up).min() - 0.002
+    rows, columns = np.indices(view.depth.shape)
+    rays = np.stack([(columns - 319.5) / 600, (rows - 239.5) / 600, np.ones(view.depth.shape)], -1)
+    table = height / (rays @ up)
+    table = np.where((table > 0) & (table < 3), table, 0)
+    return np.where(view.depth > 0, view.depth, table), np.asarray(view.depth > 0)
+
+
+def seen_through(lens: Distortion, depth: np.ndarray) -> np.ndarray:
+    """What a camera with this lens sees in place of ``depth``: each of its pixels looks up its ray, bilinearly."""
+    rows, columns = np.indices(depth.shape)
+    rays = lens.undistort((np.stack([columns, rows], -1).reshape(-1, 2) - (319.5, 239.5)) / 600)
+    place = (rays * 600 + (319.5, 239.5)).T[::-1]
+    nearest = map_coordinates(depth, np.nan_to_num(place, nan=-1), order=0, mode="constant")
+    smooth = map_coordinates(depth, np.nan_to_num(place, nan=-1), order=1, mode="constant")
+    # at the border of the object bilinear depth would fly between it and nothing
+    return np.where((nearest > 0) & (np.abs(smooth - nearest) < 0.02), smooth, nearest).reshape(depth.shape)
+
+
+@pytest.mark.parametrize("lens", LENSES, ids=lambda lens: lens.model)
+def test_a_lens_is_undone(lens):
+    rays = np.random.default_rng(0).uniform((-0.53, -0.4), (0.53, 0.4), (500, 2))
+    seen = lens.distort(rays)
+    assert np.abs(seen - rays).max() > 0.005
+    assert np.allclose(lens.undistort(seen), rays, atol=1e-9)
+    for place in seen[:20]:  # an independent solver agrees
+        solved = least_squares(lambda ray, place=place: lens.distort(ray[None])[0] - place, place, xtol=1e-14)
+        assert np.allclose(lens.undistort(place[None])[0], solved.x, atol=1e-7)
+
+
+def test_the_models_are_those_of_the_drivers():
+    """By hand, at (0.3, -0.2): r2 = 0.13."""
+    x, y, r2 = 0.3, -0.2, 0.13
+    k1, k2, p1, p2, k3 = BROWN
+    radial = 1 + k1 * r2 + k2 * r2**2 + k3 * r2**3
+    plain = (
+        x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
+        y * radial + 2 * p2 * x * y + p1 * (r2 + 2 * y * y),
+    )
+    assert np.allclose(Distortion("brown_conrady", BROWN).distort(np.array([[x, y]]))[0], plain)
+    assert np.allclose(Distortion("plumb_bob", BROWN[:4]).distort(np.array([[x, y]]))[0, 0], plain[0] - x * k3 * r2**3)
+    a = np.arctan(np.sqrt(r2))
+    fisheye = Distortion("equidistant", (0.1, 0.0, 0.0, 0.0)).distort(np.array([[x, y]]))[0]
+    assert np.allclose(fisheye, np.array([x, y]) / np.sqrt(r2) * (a + 0.1 * a**3))
+    assert np.allclose(STANDARD_CAMERA.project(np.array([[0.6, -0.4, 2.0]])), [[499.5, 119.5]])
+
+
+def test_where_the_lens_shows_no_ray_there_is_none():
+    seen = np.array([[2.0, 0.0], [0.1, 0.0]])  # a fisheye sees 90 degrees at 1.57
+    rays = Distortion("equidistant", (0.0,)).undistort(seen)
+    assert np.isnan(rays[0]).all()
+    assert np.isfinite(rays[1]).all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("lens", LENSES, ids=lambda lens: lens.model)
+def test_points_and_picture_of_a_distorted_image_are_those_of_the_camera_without_its_lens(lens):
+    view = laptop_view()
+    plain = Observation.from_depth(view.depth, K)
+    seen = Observation.from_depth(seen_through(lens, view.depth), K, distortion=lens)
+    assert seen.depth is not None
+    assert seen.mask is not None
+    assert seen.pixels is not None
+    assert plain.mask is not None
+    assert np.allclose(seen.points.mean(0), plain.points.mean(0), atol=0.004)
+    assert np.allclose(*(np.percentile(v.points, [1, 99], axis=0) for v in (seen, plain)), atol=0.005)
+    assert (seen.mask & plain.mask).sum() / (seen.mask | plain.mask).sum() > 0.97
+    both = (seen.depth > 0) & (view.depth > 0)
+    assert np.median(np.abs(seen.depth - view.depth)[both]) < 0.002
+    assert np.abs(STANDARD_CAMERA.project(seen.points) - seen.pixels).max() <= 0.51
+
+
+def test_lenses_are_read_from_files(tmp_path):
+    flat, listed = K.ravel().tolist(), list(BROWN)
+    realsense = {"width": 640, "height": 480, "fx": 600, "fy": 600, "ppx": 319.5, "ppy": 239.5, "coeffs": listed}
+    ros = f"image_width: 640\nimage_height: 480\ncamera_matrix: {{rows: 3, cols: 3, data: {flat}}}\n"
+    forms = {
+        "a.json": (json.dumps({**realsense, "model": "Inverse Brown Conrady"}), "inverse_brown_conrady"),
+        "b.json": (json.dumps({**realsense, "model": "distortion.brown_conrady"}), "brown_conrady"),
+        "c.json": (json.dumps({**realsense, "model": 2}), "inverse_brown_conrady"),
+        "d.yaml": (ros + f"distortion_model: plumb_bob\ndistortion_coefficients: {{data: {listed}}}\n", "plumb_bob"),
+        "e.yaml": (f"height: 480\nwidth: 640\nK: {flat}\nD: {listed}\n---\n", "plumb_bob"),
+        "f.yaml": (f"k: {flat}\nd: {listed[:4]}\ndistortion_model: equidistant\n", "equidistant"),
+        "g.json": (json.dumps({**realsense, "model": "none"}), None),
+        "h.json": (json.dumps({**realsense, "coeffs": [0] * 5, "model": "Brown Conrady"}), None),
+    }
+    for name, (content, model) in forms.items():
+        (tmp_path / name).write_text(content)
+        camera = read_camera(tmp_path / name)
+        assert np.allclose(camera.K, K)
+        assert (None if camera.distortion is None else camera.distortion.model) == model, name
+        assert camera.size in ((640, 480), None)
+        if camera.distortion is not None:
+            assert camera.distortion.coefficients == BROWN[: len(camera.distortion.coefficients)]
+    assert read_camera("600,600,319.5,239.5").distortion is None
+    for content, word in (
+        (json.dumps({**realsense, "model": "F-Theta"}), "f_theta"),
+        (json.dumps({**realsense, "coeffs": "many", "model": "Brown Conrady"}), "coeffs"),
+        (json.dumps({**realsense, "coeffs": [1.0] * 12, "model": "Brown Conrady"}), "8"),
+    ):
+        (tmp_path / "bad.json").write_text(content)
+        with pytest.raises(InputError, match=word) as error:
+            read_camera(tmp_path / "bad.json")
+        assert "bad.json" in str(error.value)
+        assert "\n" not in str(error.value)
+
+
+def test_lenses_are_read_from_the_command_line():
+    assert parse_distortion("none") is None
+    assert parse_distortion("0.1,-0.2,0,0,0.05") == Distortion("plumb_bob", (0.1, -0.2, 0, 0, 0.05))
+    assert parse_distortion("equidistant: 0.1,0,0,0") == Distortion("equidistant", (0.1, 0, 0, 0))
+    for text in ("0.1,0.2", "x", "oval:1,2", "nan,0,0,0"):
+        with pytest.raises(InputError) as error:
+            parse_distortion(text)
+        assert "\n" not in str(error.value)
+
+
+# depth beside colour
+
+
+T_COLOR_DEPTH = np.array([[0.9998, -0.0175, 0.01, 0.015], [0.0175, 0.9998, 0.0, 0.002], [-0.01, 0.0002, 1.0, -0.004]])
+COLOR_K = np.array([[920.0, 0, 640], [0, 920, 360], [0, 0, 1]])
+COLOR_LENS = Distortion("brown_conrady", (0.15, -0.4, 0.001, 0.0005, 0.3))
+
+
+def rigid(approximate: np.ndarray) -> np.ndarray:
+    u, _, v = np.linalg.svd(approximate[:, :3])
+    return np.vstack([np.c_[u @ v, approximate[:, 3]], [0, 0, 0, 1]])
+
+
+def color_mask(points: np.ndarray) -> np.ndarray:
+    """(720, 1280) bool, where the colour camera sees points (N, 3) of the depth camera's frame."""
+    pixels = Camera.from_K(COLOR_K, 1280, 720, COLOR_LENS).project(carry(rigid(T_COLOR_DEPTH), points))
+    mask = np.zeros((720, 1280), dtype=bool)
+    column, row = np.rint(pixels).astype(int).T
+    inside = (column >= 0) & (column < 1280) & (row >= 0) & (row < 720)
+    mask[row[inside], column[inside]] = True
+    return binary_closing(mask, iterations=3)
+
+
+def colour_camera() -> ColourCamera:
+    return ColourCamera(CameraFile(COLOR_K, COLOR_LENS, (1280, 720)), rigid(T_COLOR_DEPTH))
+
+
+def test_a_mask_of_the_colour_image_chooses_the_objects_depth():
+    scene, truth = on_a_table()
+    chosen = colour_camera().depth_mask(scene, STANDARD_CAMERA, color_mask(cloud_of(np.where(truth, scene, 0))), None)
+    assert (chosen & truth).sum() > 0.97 * truth.sum()
+    assert (chosen & ~truth).sum() < 0.04 * truth.sum()
+
+
+def test_what_the_colour_camera_cannot_see_is_left_out():
+    """A plate before a wall: seen from beside, the plate hides another piece of the wall."""
+    depth = np.full((480, 640), 1.5)
+    depth[140:340, 220:420] = 0.5
+    T = np.eye(4)
+    T[0, 3] = 0.1
+    everything = np.ones((720, 1280), dtype=bool)
+    chosen = ColourCamera(CameraFile(COLOR_K, None, None), T).depth_mask(depth, STANDARD_CAMERA, everything, None)
+    assert chosen[150:330, 230:410].all()
+    hidden = chosen[150:330, 422 : 420 + 78]  # (0.1 / 0.5 - 0.1 / 1.5) * 600 = 80 pixels
+    assert hidden.mean() < 0.1
+    assert chosen[150:330, 510:].all()
+    assert chosen[150:330, :210].all()
+    box = ColourCamera(CameraFile(COLOR_K, None, None), T).depth_mask(depth, STANDARD_CAMERA, None, (0, 0, 640, 720))
+    assert 0 < box.sum() < chosen.sum()
+
+
+def test_extrinsics_are_read_from_files(tmp_path):
+    T = rigid(T_COLOR_DEPTH)
+    forms = {
+        "a.txt": "\n".join(" ".join(map(str, row)) for row in T.tolist()),
+        "b.json": json.dumps({"rotation": T[:3, :3].T.ravel().tolist(), "translation": T[:3, 3].tolist()}),
+        "c.json": json.dumps({"rotation": T[:3, :3].tolist(), "translation": T[:3, 3].tolist()}),
+        "d.json": json.dumps({"T_color_depth": T.tolist()}),
+        "e.yaml": f"T_color_depth: {T.tolist()}\n",
+    }
+    for name, content in forms.items():
+        (tmp_path / name).write_text(content)
+        assert np.allclose(read_transform(tmp_path / name, "T_color_depth"), T), name
+    for content in (
+        "1 2 3",
+        json.dumps({"T": T.tolist()}),
+        json.dumps((2 * T).tolist()),
+        "{",
+        json.dumps(T.T.tolist()),
+    ):
+        (tmp_path / "bad.json").write_text(content)
+        with pytest.raises(InputError, match=r"bad\.json"):
+            read_transform(tmp_path / "bad.json", "T_color_depth")
+    with pytest.raises(InputError, match=r"none\.txt"):
+        read_transform(tmp_path / "none.txt", "T_color_depth")
+
+
+# the world
+
+
+def test_an_answer_in_the_world_frame():
+    T = np.eye(4)
+    T[:3] = [[0, 0, 1, 0.5], [-1, 0, 0, 0.2], [0, -1, 0, 1.1]]  # a level camera that looks along the world's x
+    assert np.allclose(gravity_in_camera(T), [0, 1, 0])
+    estimate = laptop_estimate()
+    world = in_world(estimate, T)
+    assert np.allclose(world["T_world_base"], T @ estimate.T_camera_base)
+    pivot = estimate.joints[0].pivot
+    assert pivot is not None
+    assert np.allclose(world["joints"][0]["pivot"], [pivot[2] + 0.5, -pivot[0] + 0.2, -pivot[1] + 1.1])
+    assert np.allclose(world["joints"][0]["axis"], T[:3, :3] @ estimate.joints[0].axis)
+    assert np.shape(world["keypoints"]) == estimate.keypoints.shape
+    assert json.dumps(world)
+
+
+# what to check
+
+
+def test_a_good_result_leaves_nothing_to_check():
+    assert doubts(laptop_observation(), laptop_estimate()) == []
+
+
+def test_a_wrong_depth_scale_is_named_with_its_cure():
+    view = laptop_view()
+    for factor, cure in ((10.0, "--depth-scale 0.0001"), (0.1, "--depth-scale 0.01")):
+        mask = np.zeros(view.depth.shape, dtype=bool)
+        mask[view.depth > 0] = True
+        depth = np.where(mask, view.depth, 2.0)  # a wall behind it: the object was cut out
+        seen = Observation.from_depth(depth * factor, K, mask)
+        found = {check.name: check for check in doubts(seen, shared_estimator()(seen), 0.001)}
+        assert cure in found["size"].cure, found["size"]
+    points = laptop_observation().points * 0.001
+    seen = Observation.from_points(points)
+    found = {check.name: check for check in doubts(seen, laptop_estimate())}
+    assert "1000" in found["size"].cure
+
+
+def test_an_uncut_frame_is_named_with_its_cure():
+    depth = np.full((480, 640), 4.0)
+    depth[:240] = 2.0
+    seen = Observation.from_depth(depth, K)
+    found = {check.name: check for check in doubts(seen, laptop_estimate())}
+    assert "--segment plane" in found["size"].cure
+    assert "frame" in found
+
+
+def test_few_points_a_bad_fit_and_an_unsure_network_are_named():
+    estimate = laptop_estimate()
+    few = Observation.from_points(laptop_observation().points[::200])
+    assert [check.name for check in doubts(few, estimate)] == ["points"]
+    bad = replace(estimate, residual=0.1, converged=False, keypoint_std=estimate.keypoint_std * 20)
+    assert [check.name for check in doubts(laptop_observation(), bad)] == ["convergence", "residual", "network"]
+    for check in doubts(laptop_observation(), bad):
+        assert all(check.to_dict().values())
+
+
+# which category
+
+
+def test_the_category_is_found_and_all_are_ranked():
+    ranked = rank(laptop_observation(), [shared_estimator(name) for name in ("scissors", "laptop", "drawer")])
+    assert ranked[0].estimate.category.name == "laptop"
+    assert [c.score for c in ranked] == sorted((c.score for c in ranked), reverse=True)
+    assert np.isclose(sum(c.probability for c in ranked), 1)
+    assert suspected(ranked[0].estimate, ranked) == []
+    (wrong,) = suspected(ranked[-1].estimate, ranked)
+    assert "--category laptop" in wrong.cure
+
+
+# a frame from end to end, and the page that describes it
+
+
+PAGE = Path(__file__).parents[2] / "docs" / "own-camera.md"
+LENS = Distortion("brown_conrady", BROWN)
+
+
+def write_json(path: str, **content: object) -> None:
+    Path(path).write_text(json.dumps(content))
+
+
+@pytest.fixture
+def frame(tmp_path, monkeypatch):
+    """Files of a simulated RealSense frame: a laptop on a table, with camera noise, seen without and through a lens."""
+    monkeypatch.chdir(tmp_path)
+    scene, truth = on_a_table()
+    noisy = add_noise(scene, LEVELS["on"], STANDARD_CAMERA, np.random.default_rng(0))
+    save_png("depth.png", noisy)
+    save_png("raw.png", seen_through(LENS, noisy))
+    depth = {"width": 640, "height": 480, "fx": 600.0, "fy": 600.0, "ppx": 319.5, "ppy": 239.5}
+    write_json("depth.json", **depth, model="Brown Conrady", coeffs=[0.0] * 5)
+    write_json("raw.json", **depth, model="Brown Conrady", coeffs=list(LENS.coefficients))
+    color = {"width": 1280, "height": 720, "fx": 920.0, "fy": 920.0, "ppx": 640.0, "ppy": 360.0}
+    write_json("color.json", **color, model="Brown Conrady", coeffs=list(COLOR_LENS.coefficients))
+    T = rigid(T_COLOR_DEPTH)
+    write_json("depth-to-color.json", rotation=T[:3, :3].T.ravel().tolist(), translation=T[:3, 3].tolist())
+    Image.fromarray(255 * color_mask(cloud_of(np.where(truth, scene, 0))).astype(np.uint8)).save("color-mask.png")
+    Image.fromarray(255 * truth.astype(np.uint8)).save("mask.png")
+    up = laptop_view().T_camera_base[:3, 1]
+    across = np.cross(up, (0, 0, 1)) / np.linalg.norm(np.cross(up, (0, 0, 1)))
+    np.savetxt("camera-pose.txt", rigid(np.c_[np.stack([across, np.cross(up, across), up]), (0.4, 0.0, 0.9)]))
+
+
+RAW = ["--intrinsics", "raw.json", "--mask", "color-mask.png", "--color-intrinsics", "color.json"]
+RAW += ["--color-extrinsics", "depth-to-color.json"]
+
+
+@pytest.mark.slow
+def test_a_raw_frame_with_a_colour_mask_is_as_good_as_an_ideal_one(frame, capsys):
+    ideal = answer(capsys, "estimate", "depth.png", *LAPTOP, "--intrinsics", "depth.json", "--mask", "mask.png")
+    raw = answer(capsys, "estimate", "raw.png", *LAPTOP, *RAW, "--world", "camera-pose.txt", "--gravity", "world")
+    truth = laptop_view()
+    for found in (ideal, raw):
+        assert np.degrees(abs(found["joints"][0]["state"] - truth.states[0])) < 5
+        T = np.array(found["T_camera_base"])
+        assert np.linalg.norm(T[:3, 3] - truth.T_camera_base[:3, 3]) < 0.015
+        assert np.arccos(np.clip(T[:3, 1] @ truth.T_camera_base[:3, 1], -1, 1)) < np.radians(4)
+        assert found["checks"] == []
+    assert np.degrees(abs(raw["joints"][0]["state"] - ideal["joints"][0]["state"])) < 3
+    assert np.allclose(raw["joints"][0]["pivot"], ideal["joints"][0]["pivot"], atol=0.015)
+    world = raw["world"]
+    assert np.allclose(np.array(world["T_world_base"])[:3, 1], [0, 0, 1], atol=1e-6)  # upright, as told
+    assert Path("omad-estimate/raw/estimate.html").is_file()
+
+
+@pytest.mark.slow
+def test_options_that_do_not_fit_are_refused(frame, capsys):
+    depth = ["estimate", "depth.png", *LAPTOP, "--intrinsics", "depth.json"]
+    for options, word in (
+        (["--color-intrinsics", "color.json"], "--color-extrinsics"),
+        (["--color-intrinsics", "color.json", "--color-extrinsics", "depth-to-color.json"], "--mask"),
+        ([*RAW[2:4], "--color-intrinsics", "raw.json", *RAW[6:]], "1280x720"),
+        (["--gravity", "world"], "--world"),
+        (["--gravity", "0,0,0"], "--gravity 0,0,0"),
+        (["--gravity", "down"], "--gravity down"),
+        (["--world", "raw.json"], "T_world_camera"),
+        (["--distortion", "oval:1"], "oval"),
+    ):
+        assert word in refused(capsys, *depth, *options)
+    assert "640x480" in refused(capsys, "estimate", "depth.png", *LAPTOP, "--intrinsics", "color.json")
+    assert "auto" in refused(capsys, "estimate", "depth.png", "--category", "auto", *K_OPTION, "--weights", "weights")
+
+
+@pytest.mark.slow
+def test_the_pages_commands_run(frame, capsys):
+    lines = "".join(blocks(PAGE, "")).splitlines()
+    assert len(lines) >= 6
+    for line in lines:
+        assert run(shlex.split(line)[1:]) == 0, line
+
+
+@pytest.mark.slow
+def test_the_pages_python_runs(frame, capsys):
+    names: dict = {}
+    for code in blocks(PAGE, "python"):
+        exec(code, names)
+    assert np.degrees(abs(names["estimate"].joint_states[0] - laptop_view().states[0])) < 5
+    assert len(capsys.readouterr().out.splitlines()) >= 1
+
+
+def test_the_page_knows_every_check():
+    told = PAGE.read_text()
+    for name in ("size", "points", "frame", "convergence", "residual", "network", "category"):
+        assert f"`{name}`" in told
