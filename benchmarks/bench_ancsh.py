@@ -18,7 +18,8 @@ import tyro
 from bench_refinement import median_ms
 
 from omad.data.procedural import generate
-from omad.data.training_views import SurfaceBank, ViewBatch, ViewSettings, draw_views
+from omad.data.surface_bank import SurfaceBank
+from omad.data.training_views import ViewBatch, ViewSettings, draw_views
 from omad.evaluation.baselines.ancsh.alignment import Alignment, AlignmentConfig, align
 from omad.evaluation.baselines.ancsh.coordinates import Coordinates, part_boxes, true_coordinates
 from omad.evaluation.baselines.ancsh.net import AncshPrediction

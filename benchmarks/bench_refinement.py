@@ -67,19 +67,19 @@ def main(config: Config) -> None:
     observations = [Observation.from_depth(view.depth, view.camera) for view in views]
     size, samples = estimator.net.backbone.config.points, sum(estimator.config.samples)
     clouds, _ = sample_clouds(observations, size, samples, estimator.config.seed, category, "cpu")
-    look = estimator._look(clouds[:, :1], first_frame(clouds.flatten(1, 2)))
+    look = estimator._look(clouds[:, :1], first_frame(clouds.flatten(1, 2)), labels=False)
     limits = torch.tensor([joint.limits for joint in category.joints])
 
     def problem(rows: torch.Tensor) -> tuple[Targets, State]:
         targets = Targets(look.targets.keypoints[rows], look.targets.weights[rows])
         return targets, State(look.state.beta[rows], look.state.joint_states[rows], look.state.T_camera_base[rows])
 
-    def solve(rows: torch.Tensor, settings: RefinementConfig) -> Refined:
-        targets, start = problem(rows)
-        return Refiner(prior, limits, settings)(targets, start)
+    def solve(rows: torch.Tensor, refiner: Refiner) -> Refined:
+        return refiner(*problem(rows))
 
     many = torch.arange(config.batch) % config.views
-    default = estimator.config.refinement
+    default = Refiner(prior, limits, estimator.config.refinement)
+    plainly = Refiner(prior, limits, PLAIN)
     answer = {
         "category": category.name,
         "machine": f"{platform.processor() or platform.machine()}, {torch.get_num_threads()} thread(s)",
@@ -91,8 +91,8 @@ def main(config: Config) -> None:
     answer["estimate_one_refinement_ms"] = 1e3 * float(np.median([s["refinement"] for s in singles]))
     answer["estimate_one_total_ms"] = median_ms(lambda i: estimator(observations[i]), config.views)
 
-    plain = [solve(torch.tensor([i]), PLAIN).energy.item() for i in range(config.adam)]
-    answer["plain_one_ms"] = median_ms(lambda i: solve(torch.tensor([i]), PLAIN), config.adam)
+    plain = [solve(torch.tensor([i]), plainly).energy.item() for i in range(config.adam)]
+    answer["plain_one_ms"] = median_ms(lambda i: solve(torch.tensor([i]), plainly), config.adam)
     with torch.enable_grad():
         began = time.perf_counter()
         adam = [refine_with_adam(prior, *problem(torch.tensor([i]))).energy.item() for i in range(config.adam)]

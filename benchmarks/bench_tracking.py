@@ -32,7 +32,7 @@ from omad.applications.tracking.tracker import TrackedEstimate, Tracker
 from omad.common.errors import NothingSeen
 from omad.common.runtime import keep_freed_memory
 from omad.data.procedural import generate
-from omad.data.training_views import SurfaceBank
+from omad.data.surface_bank import SurfaceBank
 from omad.estimation.estimate import Estimate
 from omad.estimation.estimator import Estimator
 from omad.geometry.camera import STANDARD_CAMERA

@@ -11,32 +11,44 @@ from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
 __all__ = [
+    "Detection",
+    "Detector",
     "Estimate",
     "Estimator",
     "EstimatorConfig",
+    "Frame",
     "InputError",
     "Known",
     "Observation",
     "ShapeIndex",
     "Tracker",
+    "detect",
+    "estimate_stream",
     "get_category",
     "show",
 ]
 
 _HOMES = {
+    "Detection": "applications.detection.detector",
+    "Detector": "applications.detection.detector",
     "Estimate": "estimation.estimate",
     "Estimator": "estimation.estimator",
     "EstimatorConfig": "estimation.estimator",
+    "Frame": "applications.bulk.stream",
     "InputError": "common.errors",
     "Known": "estimation.known",
     "Observation": "sensing.observation",
     "ShapeIndex": "applications.retrieval.index",
     "Tracker": "applications.tracking.tracker",
+    "detect": "applications.detection.detector",
+    "estimate_stream": "applications.bulk.stream",
     "get_category": "objects.category_file",
     "show": "output.picture",
 }
 
 if TYPE_CHECKING:
+    from omad.applications.bulk.stream import Frame, estimate_stream
+    from omad.applications.detection.detector import Detection, Detector, detect
     from omad.applications.retrieval.index import ShapeIndex
     from omad.applications.tracking.tracker import Tracker
     from omad.common.errors import InputError

@@ -159,6 +159,7 @@ def test_what_is_wrong_for_all_inputs_is_said_once(capsys):
     [
         *["demo", "generate --output x", "render --output x", "train prior --output x", "train net --output x"],
         *["eval pose", "eval keypoints", "eval views", "export --output x", f"estimate d.png {' '.join(K)}"],
+        "eval robustness",
     ],
 )
 def test_unknown_categories(command, capsys):
@@ -173,7 +174,7 @@ def test_unknown_categories(command, capsys):
     [
         *["demo", "eval pose", "eval views", "export --output x", f"estimate d.png {' '.join(K)}"],
         *["eval keypoints --weights {0}/prior", "train net --output x --prior {0}/prior"],
-        "train net --output x --initial {0}",
+        *["train net --output x --initial {0}", "eval robustness"],
     ],
 )
 def test_weights_of_another_category(command, capsys):
@@ -307,7 +308,7 @@ def test_rendered_views_that_do_not_fit_the_question(capsys):
         *["render --output x --views {0}", "render --output x --objects {0}", "render --output x --processes {0}"],
         *["generate --output x --objects {0}", "demo --objects {0}", "train prior --output x --steps {0}"],
         *["train net --output x --batch {0}", "train prior --output x --learning-rate {0}"],
-        "train net --output x --max-minutes {0}",
+        *["train net --output x --max-minutes {0}", "eval robustness --views {0}", "eval robustness --objects {0}"],
     ],
 )
 @pytest.mark.parametrize("value", ["0", "-3"])
@@ -332,7 +333,16 @@ def test_outputs_that_cannot_be_written(command, output, capsys):
 
 def test_pictures_that_cannot_be_written_are_refused_before_the_work(capsys):
     Path("mine").write_text("keep me")
-    assert "mine" in refused(capsys, "eval", "pose", *LAPTOP, "--pictures", "mine")
+    for command in ("pose", "robustness"):
+        assert "mine" in refused(capsys, "eval", command, *LAPTOP, "--pictures", "mine")
+
+
+def test_rows_that_there_are_not_and_options_that_exclude_each_other(capsys):
+    line = refused(capsys, "eval", "robustness", *LAPTOP, "--rows", "clean", "hail")
+    assert "hail" in line
+    assert "hidden-25" in line
+    for other in (["--noise", "on"], ["--layout", "artimage"]):
+        assert "--clutter" in refused(capsys, "render", *LAPTOP, "--output", "x", "--clutter", *other)
 
 
 def test_seeds_and_threads(capsys):

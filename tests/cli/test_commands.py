@@ -16,6 +16,7 @@ from helpers.command_line import LAPTOP, K, answer, cloud, laptop_view, save_png
 from omad import __version__
 from omad.cli.main import COMMANDS, Group, run
 from omad.data.rendering import view_folder
+from omad.data.rendering.tabletop import draw_tabletop
 from omad.training import loop as training
 
 HEAVY = {"torch", "numpy", "scipy", "numba", "matplotlib", "trimesh", "PIL"}
@@ -222,6 +223,26 @@ def test_pose_evaluation_keeps_its_promise(category, revolute, capsys):
     assert "refined" in capsys.readouterr().out
 
 
+@pytest.mark.slow
+def test_robustness_keeps_its_promise_on_models_and_on_rendered_scenes(capsys):
+    few = ["eval", "robustness", *LAPTOP, "--views", "2", "--rows", "hidden-25", "around"]
+    found = answer(capsys, *few, "--objects", "2", "--pictures", "worst")
+    assert [row["row"] for row in found["rows"]] == ["clean", "hidden-25", "around"]
+    assert (found["category"], found["source"], found["views"], found["left_out"]) == ("laptop", "procedural", 2, [])
+    promised = {"row", "what", "views", "missing", "joint_state_error_deg", "joint_state_error", "ratio", "covered"}
+    assert set(found["rows"][1]) == promised | {"flagged", "wrong", "silently_wrong"}
+    assert found["rows"][0]["ratio"] == 1.0
+    assert {Path(path).name for path in found["pictures"]} == {"clean.png", "hidden-25.png", "around.png"}
+    assert found["rows"] == answer(capsys, *few, "--objects", "2")["rows"]
+    answer(capsys, "render", *LAPTOP, "--objects", "1", "--views", "3", "--output", "scenes", "--clutter")
+    assert answer(capsys, "eval", "pose", *LAPTOP, "--source", "scenes")["views"] == 3
+    scenes = answer(capsys, *few, "--source", "scenes")
+    assert [row["row"] for row in scenes["rows"]] == ["clean", "hidden-25"]
+    assert scenes["left_out"] == ["around"]
+    assert run([*few, "--source", "scenes"]) == 0
+    assert "a quarter hidden" in capsys.readouterr().out
+
+
 def test_models_of_a_folder_are_evaluated_and_unfit_ones_named(capsys):
     answer(capsys, "generate", *LAPTOP, "--output", "models", "--objects", "2")
     Path("models/broken").mkdir()
@@ -299,6 +320,14 @@ def test_an_interrupted_training_goes_on_where_it_was(capsys, monkeypatch):
     use_weights(capsys, "net")
     assert answer(capsys, "eval", "keypoints", *LAPTOP, "--weights", "prior", "--objects", "2")["objects"] == 2
 
+    # fine-tuned on spoilt views, it tells points outside the object, and answers wherever it did
+    answer(capsys, *net[:-1], "robust", "--initial", "net", "--clutter")
+    config = json.loads(Path("robust/config.json").read_text())
+    assert config["tells_outside"]
+    assert config["training"]["clutter"]
+    few = ["--objects", "1", "--views", "1", "--device", "cpu"]
+    assert answer(capsys, "eval", "pose", *LAPTOP, "--weights", "robust", *few)["views"] == 1
+
 
 def use_weights(capsys, folder: str) -> None:
     """``omad export`` takes a training's folder, and every command takes what it writes."""
@@ -367,3 +396,20 @@ def test_as_a_program():
     bad = subprocess.run(command, capture_output=True, text=True, check=False)
     assert (bad.returncode, bad.stdout) == (2, "")
     assert len(bad.stderr.strip().splitlines()) == 1
+
+
+@pytest.mark.slow
+def test_detect_finds_every_object_of_a_frame(capsys):
+    scene = draw_tabletop(("laptop",), (2, 5))
+    found = answer(capsys, "detect", save_png("table.png", scene.depth), *K, "--categories", "laptop")
+    laptops = [placed for placed in scene.objects if placed.category and placed.to_be_found]
+    named = [one for one in found["objects"] if one["category"] == "laptop"]
+    assert len(named) >= len(laptops) - 1
+    for one in found["objects"]:
+        assert set(one["probabilities"]) == {"laptop", "none"}
+        assert (one["estimate"] is None) == (one["category"] is None)
+    kept = json.loads(Path("omad-detect/detect.json").read_text())
+    assert kept["objects"] == found["objects"]
+    assert Path("omad-detect/detect.png").stat().st_size > 0
+    assert run(["detect", "table.png", *K, "--categories", "laptop", "--box", "0,0,640,480"]) == 0
+    assert "laptop" in capsys.readouterr().out

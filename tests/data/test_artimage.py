@@ -28,7 +28,8 @@ from omad.data.rendering import view_folder
 from omad.data.rendering.depth_noise import ON
 from omad.data.rendering.rasteriser import NOTHING
 from omad.data.rendering.standard_views import View, standard_views
-from omad.data.training_views import SurfaceBank, ViewSettings, draw_views
+from omad.data.surface_bank import SurfaceBank
+from omad.data.training_views import ViewSettings, draw_views
 from omad.geometry.kinematics import part_transforms
 from omad.objects.category import Category, PartSpec
 from omad.objects.model import ObjectModel

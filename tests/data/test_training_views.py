@@ -5,10 +5,12 @@ import pytest
 import torch
 
 from helpers.categories import CATEGORIES, DISHWASHER, LAPTOP
+from omad.data.point_views import look, plain_look, plain_pose, plain_visible, pose, visible
 from omad.data.procedural import generate
-from omad.data.training_views import SurfaceBank, ViewSettings, draw_views, visible
+from omad.data.surface_bank import SurfaceBank
+from omad.data.training_views import ViewSettings, draw_views
 from omad.geometry.kinematics import part_transforms
-from omad.geometry.transforms import invert_transform, transform_points
+from omad.geometry.transforms import invert_transform, make_transform, transform_points
 
 CLEAN = ViewSettings(points=256, noise=0.0)
 
@@ -87,3 +89,25 @@ def test_stretching_carries_joints_along():
     assert torch.allclose(stretched.pivots[0, 0], bank.pivots[0, 0] * scale[0])
     assert torch.allclose(stretched.axes[0, 0], torch.tensor([1.0, 0.0, 0.0]))
     assert np.isclose(stretched.normals.norm(dim=-1).numpy(), 1, atol=1e-5).all()
+
+
+def test_compiled_views_are_the_plain_ones(bank):
+    generator = torch.Generator().manual_seed(5)
+    indices, scale = torch.tensor([2, 0, 3]), torch.rand(3, 3, generator=generator) + 0.5
+    poses = torch.linalg.qr(torch.randn(9, 3, 3, generator=generator)).Q
+    T = make_transform(poses, torch.randn(9, 3, generator=generator))
+    T_base_part, T_camera_base = T[:6].unflatten(0, (3, 2)), T[6:].clone()
+    T_camera_base[:, 2, 3] += 6.0
+    closed, steepest = torch.tensor([True, False, True]), torch.tensor([-1.0, 0.2, 0.3])
+    ours, plain = pose(bank, indices, scale, T_base_part), plain_pose(bank, indices, scale, T_base_part)
+    for name, expected in vars(plain).items():
+        assert torch.allclose(getattr(ours, name), expected, atol=2e-6), name
+    points, facing = look(ours, closed, T_camera_base, steepest)
+    expected, facing_too = plain_look(plain, closed, T_camera_base, steepest)
+    assert torch.allclose(points, expected, atol=1e-5)
+    centre = transform_points(T_camera_base, plain.centre[:, None]).squeeze(1)
+    seen, seen_too = visible(points, centre, ours.radius), plain_visible(points, centre, ours.radius)
+    assert 0.02 < seen.float().mean() < 0.98
+    # rounding may put a sample at the rim of a cell, or of what is seen, on its other side
+    assert (facing != facing_too).float().mean() < 1e-3
+    assert (seen != seen_too).float().mean() < 1e-3

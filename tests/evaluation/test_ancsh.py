@@ -12,7 +12,8 @@ from helpers.command_line import answer, refused
 from omad.common.errors import InputError
 from omad.data.procedural import generate
 from omad.data.rendering.standard_views import standard_view
-from omad.data.training_views import SurfaceBank, ViewBatch, ViewSettings, draw_views
+from omad.data.surface_bank import SurfaceBank
+from omad.data.training_views import ViewBatch, ViewSettings, draw_views
 from omad.evaluation.baselines.ancsh.alignment import AlignmentConfig, Poses, align
 from omad.evaluation.baselines.ancsh.chain import (
     ChainConfig,

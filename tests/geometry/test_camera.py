@@ -7,7 +7,7 @@ import torch
 from omad.geometry.camera import STANDARD_CAMERA, Camera
 from omad.geometry.lens import Distortion
 from omad.geometry.mesh import Mesh, convex_hull, merge_meshes
-from omad.geometry.rigid import across, bounding_sphere, carry, carry_each, rigid, turned_about
+from omad.geometry.rigid import across, bounding_sphere, box, carry, carry_each, rigid, turned_about
 from omad.geometry.transforms import so3_exp, transform_points
 
 LENS = Distortion("plumb_bob", (0.1, -0.2, 0.001, -0.0005, 0.05))
@@ -66,3 +66,11 @@ def test_hulls_stay_closed_when_mirrored_and_merged():
 
     assert volume(hull) > 0
     assert volume(both) == pytest.approx(2 * volume(hull))
+
+
+@pytest.mark.parametrize("count", [1, 255, 256, 1000])
+@pytest.mark.parametrize("width", [2, 3])
+def test_box_is_smallest_and_largest_of_each_coordinate(count, width):
+    points = np.random.default_rng(count).normal(size=(count, width)).astype(np.float32)
+    for some in (points, points[::-1], np.asfortranarray(points)):
+        assert np.array_equal(box(some), [points.min(0), points.max(0)])

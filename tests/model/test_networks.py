@@ -1,11 +1,14 @@
 """Backbone and networks against brute force, and the properties that users rely on."""
 
+import json
+
 import pytest
 import torch
 
 from helpers.categories import CATEGORIES, LAPTOP
 from omad.model.backbones import BACKBONES
-from omad.model.backbones.pointnet2 import gather, interpolate, nearest
+from omad.model.backbones.point_ops import gather, interpolate, nearest
+from omad.model.checkpoint import load, save
 from omad.model.network_input import first_frame, to_input_frame
 from omad.model.omadnet import OmadNet
 from omad.model.prior import OmadPrior
@@ -118,3 +121,35 @@ def test_prior_losses_have_every_term_of_the_paper():
     assert {"chamfer", "coverage", "surface", "separation", "joint", "beta"} <= set(terms)
     sum(terms.values()).backward()
     assert all(p.grad is not None and p.grad.isfinite().all() for p in net.parameters())
+
+
+@torch.no_grad()
+def test_a_network_learns_to_tell_outside_from_one_that_did_not(net, tmp_path):
+    told = OmadNet(net.category, net.prior, net.backbone.config, tells_outside=True)
+    told.start_from(net)
+    points = torch.randn(2, net.backbone.config.points, 3, generator=torch.Generator().manual_seed(0))
+    before, after = net(points), told(points)
+    assert torch.equal(after.part_logits[..., :-1], before.part_logits)
+    assert torch.equal(after.keypoints, before.keypoints)
+    save(told, tmp_path, {})
+    again = load(OmadNet, tmp_path)
+    assert again.tells_outside
+    assert torch.equal(again(points).part_logits, after.part_logits)
+    again_from_it = OmadNet(net.category, net.prior, net.backbone.config, tells_outside=True)
+    again_from_it.start_from(again)
+    assert torch.equal(again_from_it(points).part_logits, after.part_logits)
+
+
+def test_checkpoints_from_before_tell_no_outside(net, tmp_path):
+    save(net, tmp_path, {})
+    config = json.loads((tmp_path / "config.json").read_text())
+    del config["tells_outside"]
+    (tmp_path / "config.json").write_text(json.dumps(config))
+    assert not load(OmadNet, tmp_path).tells_outside
+
+
+def test_a_far_wall_does_not_move_the_first_frame():
+    cloud = torch.rand(1, 400, 3, generator=torch.Generator().manual_seed(0))
+    wall = torch.cat([4 * torch.rand(1, 100, 2), torch.full((1, 100, 1), 6.0)], -1)
+    assert torch.allclose(first_frame(cloud)[0, :3, 3], cloud.mean(1)[0])
+    assert torch.allclose(first_frame(torch.cat([cloud, wall], 1))[0, :3, 3], cloud.mean(1)[0], atol=1e-6)

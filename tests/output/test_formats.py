@@ -23,6 +23,7 @@ from omad.cli.main import run
 from omad.data.procedural import generate
 from omad.data.rendering.standard_views import standard_view
 from omad.estimation.estimate import Estimate, JointEstimate, PoseEstimate
+from omad.estimation.part_labels import LabelledPoints
 from omad.model.posed_object import PosedObject
 from omad.objects.category_file import get_category
 from omad.objects.pose import ObjectPose
@@ -56,7 +57,7 @@ def made_up(parents: tuple[int, ...], types: tuple[str, ...]) -> Estimate:
     posed = PosedObject(np.zeros(2), still, canonical, axes, pivots, canonical)
     estimate = Estimate(
         **vars(posed), joints=(), category=category, observed_keypoints=canonical, keypoint_std=np.ones(len(canonical)),
-        covariance=np.eye(2), converged=True, residual=0.0, part_labels=np.zeros(0, int),
+        covariance=np.eye(2), converged=True, residual=0.0, labelled=LabelledPoints.none(),
         initial=PoseEstimate(**vars(posed), joints=()),
     )  # fmt: skip
     limits = tuple(

@@ -5,6 +5,7 @@ import os
 import re
 import shutil
 import subprocess
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from urllib.parse import unquote
@@ -18,6 +19,7 @@ from omad.data.procedural import generate
 from omad.data.rendering.standard_views import standard_view
 from omad.estimation.estimate import Estimate
 from omad.estimation.estimator import Estimator
+from omad.estimation.part_labels import LabelledPoints
 from omad.evaluation.evaluate import true_pose
 from omad.geometry.joint_kinds import Motion
 from omad.geometry.kinematics import KinematicTree, deform, part_transforms
@@ -25,6 +27,7 @@ from omad.model.checkpoint import shipped_categories
 from omad.objects.category_file import get_category
 from omad.objects.pose import ObjectPose
 from omad.output.page import MAX_POINTS, page_text
+from omad.output.picture import PART_COLOURS, part_colours
 from omad.sensing.observation import Observation
 
 BROWSER = next(filter(None, map(shutil.which, ["chromium", "chromium-browser", "google-chrome", "chrome"])), None)
@@ -251,3 +254,13 @@ def expected_axis(data: dict, states: list[float], joint: dict) -> np.ndarray:
     )
     parent = part_transforms(tree, axes, pivots, at, base)[0, joint["parent"], :3, :3].numpy()
     return parent @ np.array(joint["canonical_axis"])
+
+
+def test_points_outside_the_object_are_told_and_grey():
+    observation, estimate, truth = seen("laptop")
+    labels = np.where(np.arange(len(observation.points)) % 3, estimate.part_labels, -1)
+    logits = np.eye(3)[labels]  # the last of three is that of no part
+    told = replace(estimate, labelled=LabelledPoints(observation.points, np.arange(len(labels)), logits, 2))
+    assert np.array_equal(told.part_labels, labels)
+    assert -1 in data_of(page_text(observation, told, truth))["labels"]
+    assert np.array_equal(part_colours(labels)[labels < 0][0], PART_COLOURS[-1])

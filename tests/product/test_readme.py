@@ -35,12 +35,16 @@ def view(tmp_path, monkeypatch) -> View:
 @pytest.mark.slow
 @pytest.mark.parametrize("source", PAGES, ids=lambda path: path.name)
 def test_python_runs(source, view, tmp_path):
+    category = get_category("laptop")
+    other = standard_view(generate(category, 0, "test"), category, (0, 1001), states=view.states)
     names = {
         "depth_m": view.depth,
         "K": view.camera.K,
         "mask": view.depth > 0,
         "folder": tmp_path / "models",
         "view": Observation.from_depth(view.depth, view.camera),
+        "depths_m": [view.depth, other.depth],
+        "T_world_camera": np.linalg.inv([view.T_camera_base, other.T_camera_base]),
     }
     found = blocks(source, "python")
     assert found

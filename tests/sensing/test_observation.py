@@ -75,6 +75,32 @@ def test_mask_and_box_combine_and_boxes_are_half_open() -> None:
     assert len(Observation.from_depth(bump(), K, mask=mask, box=(-5, -5, 30, 100)).points) == 100
 
 
+@pytest.mark.parametrize("dtype", [np.float16, np.float32, np.float64, ">f4"])
+@pytest.mark.parametrize("masked", [False, True])
+def test_points_are_those_of_the_formula_to_the_last_bit(dtype: str, masked: bool) -> None:
+    rng = np.random.default_rng(0)
+    given = rng.uniform(0.5, 2, (48, 64))
+    for value in (0, -0.0, np.nan, np.inf, -np.inf, -1):
+        given[rng.random(given.shape) < 0.05] = value
+    given = given.astype(dtype)
+    mask = rng.random(given.shape) < 0.5 if masked else None
+    before = given.copy()
+    seen = Observation.from_depth(given, CAMERA, mask)
+    expected = np.where(np.isfinite(given) & (given > 0), given, 0).astype(np.float32)
+    v, u = np.nonzero(expected if mask is None else expected * mask)
+    z = expected[v, u].astype(np.float64)
+    points = np.stack([(u - 31.5) / 60.0 * z, (v - 23.5) / 61.0 * z, z], 1).astype(np.float32)
+    assert seen.depth is not None
+    assert seen.depth.dtype == np.float32
+    assert np.array_equal(seen.depth, expected)
+    assert np.array_equal(seen.points, points)
+    assert np.array_equal(seen.pixels, np.stack([u, v], 1))
+    assert np.array_equal(seen.mask, expected.astype(bool) if mask is None else (expected > 0) & mask)
+    assert np.array_equal(given, before, equal_nan=True)
+    given[:] = 1  # the caller's buffer is used again
+    assert np.array_equal(seen.depth, expected)
+
+
 # bad depth, bad intrinsics, bad crops
 
 

@@ -79,3 +79,13 @@ def test_confidence_is_best_at_the_true_spread():
         s: float(losses.confidence_loss(distance, torch.full_like(distance, math.log(s)))) for s in (0.04, 0.05, 0.0625)
     }
     assert min(values, key=values.__getitem__) == 0.05
+
+
+def test_segmentation_counts_points_outside_the_object_more():
+    logits = torch.tensor([[[2.0, 0.0, 1.0], [0.0, 1.0, 3.0], [1.0, 1.0, 1.0]]])
+    labels = torch.tensor([[0, 2, 1]])
+    each = -torch.log_softmax(logits, -1)[0, torch.arange(3), labels[0]]
+    expected = (each[0] + 4 * each[1] + each[2]) / 6
+    assert losses.segmentation_loss(logits, labels, 2, 4.0) == pytest.approx(expected.item(), rel=1e-6)
+    parts_only = losses.segmentation_loss(logits, labels, 3, 4.0)
+    assert parts_only == pytest.approx(each.mean().item(), rel=1e-6)

@@ -1,4 +1,4 @@
-"""``omad eval pose | keypoints | views | retrieval``: how good weights are."""
+"""``omad eval pose | robustness | keypoints | views | retrieval``: how good weights are."""
 
 from __future__ import annotations
 
@@ -11,16 +11,18 @@ from typing import Any, Literal
 from tyro.conf import OmitArgPrefixes
 
 import omad
+from omad.common.errors import InputError
 from omad.common.files import make_folder
 from omad.common.lazy import lazy_imports
 
 from .answer import Answer, table
-from .options import CategoryCommand, Device, Json, Models, Views, check_positive, checkpoints, load_prior
+from .options import CategoryCommand, Device, Fast, Json, Models, Views, check_positive, checkpoints, load_prior
 
 with lazy_imports():
     from numpy import ndarray
 
     from omad.common.runtime import pick_device
+    from omad.data.source import ViewSource, load_views
     from omad.evaluation.baselines import adam
     from omad.evaluation.baselines.siamese import SiameseEncoder
     from omad.evaluation.evaluate import draw_worst, evaluate, summary
@@ -31,9 +33,12 @@ with lazy_imports():
     from omad.evaluation.retrieval.distances import methods
     from omad.evaluation.retrieval.pool import Pool, describe_with_omad, describe_with_siamese
     from omad.evaluation.retrieval.shards import described_in_shards
+    from omad.evaluation.robustness import experiment as robustness
+    from omad.evaluation.robustness import rows as robustness_rows
     from omad.evaluation.view_agreement import compare_views
     from omad.model.checkpoint import find_weights, is_checkpoint, load
     from omad.model.omadnet import OmadNet
+    from omad.objects.category import Category
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,12 +48,13 @@ class EvalPose(CategoryCommand):
     data: OmitArgPrefixes[Views] = Views()
     method: Literal["least_squares", "adam"] = "least_squares"
     """How to refine; adam: the paper's own recipe, for comparison."""
+    fast: Fast = False
     pictures: Path | None = None
     """Folder for pictures of the worst views."""
 
     def run(self) -> Answer:
         self.data.check()
-        estimator = self.estimator(**({"refine": adam.adam_refinement} if self.method == "adam" else {}))
+        estimator = self.estimator(self.fast, **({"refine": adam.adam_refinement} if self.method == "adam" else {}))
         if self.pictures is not None:
             make_folder(self.pictures)
         category = estimator.category
@@ -88,6 +94,69 @@ def pose_text(answer: dict[str, Any]) -> str:
 def _spread(error: dict[str, float], factor: float, unit: str) -> str:
     digits = 1 if unit == "°" else 3
     return " / ".join(f"{factor * error[key]:.{digits}f}{unit}" for key in ("mean", "median", "p90"))
+
+
+@dataclass(frozen=True)
+class SpoiltViews(Models):
+    """The views to spoil."""
+
+    source: str = "procedural"
+    """procedural, a folder of URDF / PartNet-Mobility models, a folder that ``omad render`` made, or one of the same
+    layout with depth frames of your own; of images, rows that need another viewpoint or camera are left out."""
+    views: int = 60
+    """Of each row, dealt out to the objects; of images, evenly over all of them."""
+
+    def views_of(self, category: Category) -> ViewSource:
+        return load_views(self.source, category, self.objects, self.views, self.seed, False, "refuse")
+
+
+@dataclass(frozen=True, kw_only=True)
+class EvalRobustness(CategoryCommand):
+    """Measure joint states on views spoilt in every way, one way at a time and all at once: surroundings, wrong masks,
+    occluders, borders, noise of several cameras, viewpoints. docs/robustness.md says how large each spoil is."""
+
+    data: OmitArgPrefixes[SpoiltViews] = SpoiltViews()
+    rows: tuple[str, ...] = ()
+    """Names of rows; default: all. The clean one is always there."""
+    pictures: Path | None = None
+    """Folder for a picture of each row's worst view."""
+
+    def run(self) -> Answer:
+        check_positive(objects=self.data.objects, views=self.data.views)
+        known = robustness_rows.ROWS
+        if unknown := set(self.rows) - known.keys():
+            raise InputError(f"--rows {' '.join(sorted(unknown))}: no such row; there are {', '.join(known)}")
+        rows = {name: row for name, row in known.items() if name in (robustness_rows.CLEAN, *(self.rows or known))}
+        estimator = self.estimator()
+        if self.pictures is not None:
+            make_folder(self.pictures)
+        category = estimator.category
+        source = self.data.views_of(category)
+        source = source if source.models else source.spread(self.data.views)
+        scenes = robustness.scenes_from(source, category, self.data.seed)
+        found = robustness.measure(estimator, scenes, source.total, rows)
+        answer = {"category": category.name, "source": self.data.source, "seed": self.data.seed}
+        answer |= {"views": source.total, "rows": robustness.table(found, rows, category)}
+        answer |= {"left_out": [name for name, measured in found.items() if not measured], "refused": source.refused}
+        if self.pictures is not None:
+            answer["pictures"] = robustness.draw_worst(estimator, scenes, found, rows, self.pictures)
+        return Answer(answer, robustness_text)
+
+
+def robustness_text(answer: dict[str, Any]) -> str:
+    """A line a spoil: mean, median and 90th percentile of the joint states' errors, and shares."""
+    columns = ["joint state", "ratio", "in 90 % interval", "flagged", "wrong", "silently wrong", "what"]
+    lines = [["", *columns]]
+    for row in answer["rows"]:
+        angle, length = row["joint_state_error_deg"], row["joint_state_error"]
+        states = [_spread(angle, 1, "°")] if angle else []
+        states += [_spread(length, 1, " m")] if length else []
+        shares = [f"{row[key]:.0%}" for key in ("covered", "flagged", "wrong", "silently_wrong")]
+        lines.append([row["row"], ", ".join(states), f"{row['ratio']:.2f}", *shares, row["what"]])
+    head = f"{answer['category']}, {answer['source']}: {answer['views']} views a row, mean / median / 90th percentile"
+    left_out = [f"left out, as there are no such views: {', '.join(answer['left_out'])}"] if answer["left_out"] else []
+    refused = [f"refused {each['name']}: {each['reason']}" for each in answer["refused"]]
+    return "\n".join([head, table(lines), *left_out, *refused])
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -17,14 +17,15 @@ from omad.common.errors import InputError, WorkError
 from omad.common.files import one_line
 
 from .answer import as_json
-from .estimate import EstimateCommand
-from .evaluate import EvalKeypoints, EvalPose, EvalRetrieval, EvalViews
+from .bulk import Bulk
+from .estimate import Detect, EstimateCommand
+from .evaluate import EvalKeypoints, EvalPose, EvalRetrieval, EvalRobustness, EvalViews
 from .explore import Explore
 from .figures import FigureKeypoints, FigureOcclusion, FigureQualitative, FigureSweep, FigureTsne
 from .index import IndexBuild, IndexQuery
 from .models import Generate, Import, Render
 from .paper import EvalAblation, EvalTable1, EvalTable2
-from .shipped import Demo, Export, Info
+from .shipped import Compile, Demo, Export, Info
 from .track import Track
 from .train import TrainAncsh, TrainNet, TrainPrior, TrainSiamese
 
@@ -44,17 +45,18 @@ class Group:
 
 _TRAIN = {"prior": TrainPrior, "net": TrainNet, "ancsh": TrainAncsh, "siamese": TrainSiamese}
 _EVAL = {"pose": EvalPose, "keypoints": EvalKeypoints, "views": EvalViews, "table1": EvalTable1, "table2": EvalTable2}
-_EVAL |= {"ablation": EvalAblation, "retrieval": EvalRetrieval}
+_EVAL |= {"ablation": EvalAblation, "retrieval": EvalRetrieval, "robustness": EvalRobustness}
 _FIGURE = {"qualitative": FigureQualitative, "keypoints": FigureKeypoints, "sweep": FigureSweep}
 _FIGURE |= {"occlusion": FigureOcclusion, "tsne": FigureTsne}
 _INDEX = {"build": IndexBuild, "query": IndexQuery}
-COMMANDS: dict[str, Any] = {"demo": Demo, "estimate": EstimateCommand, "track": Track, "explore": Explore}
+COMMANDS: dict[str, Any] = {"demo": Demo, "estimate": EstimateCommand, "detect": Detect, "bulk": Bulk}
+COMMANDS |= {"track": Track, "explore": Explore}
 COMMANDS |= {"generate": Generate, "import": Import, "render": Render}
 COMMANDS["train"] = Group("Train a category: first its prior, then its network; or the baselines.", _TRAIN)
 COMMANDS["eval"] = Group("Measure accuracy on objects with known truth.", _EVAL)
 COMMANDS["figure"] = Group("Draw figures from weights: results, keypoints, sweeps, occlusion, t-SNE.", _FIGURE)
 COMMANDS["index"] = Group("Which object is this: a catalogue of objects that is asked with a view.", _INDEX)
-COMMANDS |= {"export": Export, "info": Info}
+COMMANDS |= {"export": Export, "info": Info, "compile": Compile}
 
 
 def main() -> None:
@@ -88,7 +90,10 @@ def run(arguments: list[str]) -> int:
         print(f"omad: {one_line(error)}", file=sys.stderr)
         return 2 if isinstance(error, InputError) else 1
     except KeyboardInterrupt:
-        print("omad: interrupted; a rendering or training goes on where it was when run again", file=sys.stderr)
+        print(
+            "omad: interrupted; bulk estimation, rendering and training go on where they were when run again",
+            file=sys.stderr,
+        )
         return 130
     print(as_json(answer.record) if command.json else answer.text(answer.record))
     return answer.code

@@ -92,7 +92,8 @@ def import_text(answer: dict[str, Any]) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class Render:
-    """Render standard views (depth, part labels, truth) of object models into a folder; resumes where it stopped."""
+    """Render standard views (depth, part labels, truth) of object models into a folder, or cluttered scenes; resumes
+    where it stopped."""
 
     category: CategoryName
     output: Path
@@ -110,17 +111,22 @@ class Render:
     seed: Seed = 0
     noise: Literal["off", "half", "on", "double"] = "off"
     """Camera noise."""
+    clutter: bool = False
+    """Scenes as cameras see them: surroundings, occluders, borders, several cameras and their noise, wrong masks, all
+    at random. docs/robustness.md says what is written."""
     processes: int = 1
     """That render at a time; the views are the same for any number."""
     json: Json = False
 
     def run(self) -> Answer:
         check_positive(objects=self.objects, views=self.views, processes=self.processes)
+        if self.clutter and (self.noise != "off" or self.layout != "omad"):
+            raise InputError("--clutter: has noise of its own, and no layout but omad; leave out --noise and --layout")
         category = omad.get_category(self.category)
         source = load_models(self.source, category, self.objects, self.split, self.seed)
         noise, drawn = depth_noise.LEVELS[self.noise], (source.models, category, self.output, self.views)
         if self.layout == "artimage":
             write_artimage(*drawn, self.split, self.seed, noise, self.processes, progress=True)
         else:
-            render_to_folder(*drawn, self.seed, noise, self.processes, progress=True)
+            render_to_folder(*drawn, self.seed, noise, self.processes, progress=True, clutter=self.clutter)
         return Answer({"folder": str(self.output), "views": self.views, "refused": source.refused})

@@ -35,6 +35,7 @@ Seed = Annotated[int, tyro.conf.arg(help="Another seed, other random choices.")]
 Json = Annotated[bool, tyro.conf.arg(help="Print one JSON object on stdout and nothing else there.")]
 Device = Annotated[str, tyro.conf.arg(help="cpu, cuda, or auto: CUDA where there is one.")]
 Weights = Annotated[Path | None, tyro.conf.arg(help="Checkpoint folder in place of the shipped weights.")]
+Fast = Annotated[bool, tyro.conf.arg(help="Look half as often: nearly twice as fast, a little less accurate.")]
 _BROKEN = "Broken files of an ArtImage root: refuse the root, or skip what they belong to and list it."
 BrokenFiles = Annotated[Literal["refuse", "skip"], tyro.conf.arg(help=_BROKEN)]
 
@@ -48,9 +49,10 @@ class CategoryCommand:
     device: Device = "cpu"
     json: Json = False
 
-    def estimator(self, **settings: Any) -> omad.Estimator:
-        """That of the category. Raises InputError where --weights is of another one."""
-        estimator = omad.Estimator.from_pretrained(self.weights or self.category, self.device, **settings)
+    def estimator(self, fast: bool = False, **settings: Any) -> omad.Estimator:
+        """That of the category; ``fast`` looks but a little. Raises InputError where --weights is of another one."""
+        config = omad.EstimatorConfig.fast() if fast else None
+        estimator = omad.Estimator.from_pretrained(self.weights or self.category, self.device, config, **settings)
         self.check_weights(estimator.category)
         return estimator
 

@@ -1,6 +1,7 @@
-"""The commands about what is shipped: ``omad demo``, ``omad export``, ``omad info``."""
+"""The commands about what is shipped: ``omad demo``, ``omad export``, ``omad info``, ``omad compile``."""
 
 import platform
+import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,10 @@ from .options import CategoryName, Device, Json, Seed, Weights, check_category, 
 with lazy_imports():
     from numpy import savez
 
+    from omad.common.compiled import COMPILED
     from omad.common.runtime import pick_device
+    from omad.data.procedural import generate
+    from omad.data.rendering.standard_views import standard_view
     from omad.evaluation.demo import run_demo
     from omad.model.checkpoint import find_weights, load, save, shipped_categories
     from omad.model.omadnet import OmadNet
@@ -99,3 +103,18 @@ class Info:
         record = {"version": omad.__version__, "categories": list(builtin_names()), "weights": weights}
         record |= {"device": str(pick_device("auto")), "torch": torch.__version__, "numpy": np.__version__}
         return Answer(record | {"python": platform.python_version()})
+
+
+@dataclass(frozen=True, kw_only=True)
+class Compile:
+    """Compile now what is otherwise compiled at its first use, and keep it: after an installation, say, or while a
+    container is built. Done once for a machine; NUMBA_CACHE_DIR says where it is kept."""
+
+    json: Json = False
+
+    def run(self) -> Answer:
+        began = time.perf_counter()
+        estimator = omad.Estimator.from_pretrained(shipped_categories()[0], "cpu")
+        view = standard_view(generate(estimator.category, 0, "test"), estimator.category, (0, 0))
+        estimator(omad.Observation.from_depth(view.depth, view.camera, segment="plane"))
+        return Answer({"compiled": len(COMPILED.names), "seconds": time.perf_counter() - began})

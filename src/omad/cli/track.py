@@ -11,7 +11,7 @@ from omad.common.lazy import lazy_imports
 from omad.sensing.input_options import InputOptions
 
 from .answer import Answer, as_json, as_lines
-from .options import CategoryCommand, check_positive
+from .options import CategoryCommand, Fast, check_positive
 
 with lazy_imports():
     from omad.applications.tracking.frames import Clock, frames_from, frames_of, read_times, read_truth
@@ -42,6 +42,7 @@ class Track(CategoryCommand):
     decimal point: s, ms, us, ns), or frame numbers in them at --fps."""
     fps: float = 30.0
     """Frames a second, where neither --times nor names hold the time."""
+    fast: Fast = False
     static_base: bool = False
     """Camera and base stand still; only joints move. Steadier where it is true."""
     truth: Path | None = None
@@ -61,7 +62,7 @@ class Track(CategoryCommand):
         clock = Clock(self.fps, None if self.times is None else read_times(self.times))
         frames = frames_from(sys.stdin, clock) if stream else frames_of(self.frames, clock)
         keep_freed_memory()
-        estimator = self.estimator()
+        estimator = self.estimator(self.fast)
         beside = self.frames / "truth.csv"
         path = self.truth or (beside if not stream and beside.is_file() else None)
         truth = read_truth(path, tuple(joint.name for joint in estimator.category.joints)) if path else None

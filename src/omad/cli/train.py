@@ -16,7 +16,9 @@ from .options import BrokenFiles, CategoryName, Device, Json, Seed, check_catego
 
 with lazy_imports():
     from omad.common.runtime import pick_device
+    from omad.data.clutter.settings import Clutter
     from omad.data.source import load_objects
+    from omad.data.training_views import ViewSettings
     from omad.evaluation.baselines.ancsh.training import AncshTraining, train_ancsh
     from omad.evaluation.baselines.siamese import SiameseTraining, train_siamese
     from omad.model.backbones import BackboneConfig, get_backbone
@@ -136,14 +138,18 @@ class TrainNet(_NetTraining):
     refinement_loss: float = 0.0
     """Weight of the refined answer's own error, for fine-tuning with --initial (6 is good); from nothing, it only
     disturbs."""
+    clutter: bool = False
+    """Views spoilt as the world spoils them: masks too wide or too narrow, wrong depth, things in front, objects cut
+    off. The network learns which points are not on the object, and the estimator drops them."""
 
     def run(self) -> Answer:
         weights = NetLossWeights(refinement=self.refinement_loss)
-        preset = NetTraining(backbone=self.backbone(), weights=weights, attention=self.attention)
+        views = ViewSettings(clutter=Clutter() if self.clutter else None)
+        preset = NetTraining(backbone=self.backbone(), weights=weights, attention=self.attention, views=views)
         return self.learn(train_net, preset, priornet=self._prior(), initial=self.load_initial())
 
     def record(self, schedule: Schedule) -> dict[str, Any]:
-        return super().record(schedule) | {"refinement_loss": self.refinement_loss}
+        return super().record(schedule) | {"refinement_loss": self.refinement_loss, "clutter": self.clutter}
 
     def _prior(self) -> PriorNet:
         if self.prior is None and omad.get_category(self.category).name not in shipped_categories():

@@ -1,6 +1,7 @@
 """Going through many things: a few at a time, and telling a person how far one is."""
 
 import sys
+import time
 from collections.abc import Iterable, Iterator
 from itertools import islice
 from typing import TypeVar
@@ -16,6 +17,23 @@ def batched(things: Iterable[T], size: int) -> Iterator[list[T]]:
     return iter(lambda: list(islice(rest, size)), [])
 
 
-def progress(things: Iterable[T], total: int | None, unit: str = "view") -> Iterable[T]:
-    """The same things, with a bar on stderr where a person watches."""
-    return tqdm(things, total=total, unit=unit, file=sys.stderr, disable=not sys.stderr.isatty())
+def progress(
+    things: Iterable[T], total: int | None, unit: str = "view", done: int = 0, every: float | None = None
+) -> Iterable[T]:
+    """The same things, with a bar on stderr where a person watches; elsewhere a line ``every`` so many seconds, where
+    that is given. ``done``: of the ``total``, those that an earlier run has done."""
+    watched = sys.stderr.isatty()
+    if not watched and every is not None:
+        return _told(things, total, unit, done, every)
+    return tqdm(things, total=total, initial=done, unit=unit, file=sys.stderr, disable=not watched)
+
+
+def _told(things: Iterable[T], total: int | None, unit: str, done: int, every: float) -> Iterator[T]:
+    began = told = time.monotonic()
+    for count, thing in enumerate(things, 1):
+        yield thing
+        now = time.monotonic()
+        if now - told >= every:
+            rate, told = count / (now - began), now
+            of = "" if total is None else f" of {total}"
+            print(f"{done + count}{of} {unit}s, {rate:.1f} a second", file=sys.stderr, flush=True)

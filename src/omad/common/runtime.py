@@ -1,6 +1,7 @@
 """How the process uses the machine: device choice, the memory allocator, and time."""
 
 import ctypes
+import os
 import time
 from contextlib import suppress
 
@@ -19,6 +20,11 @@ def pick_device(name: str = "auto") -> torch.device:
     except (RuntimeError, AssertionError) as error:
         raise InputError(f"device {name!r} cannot be used here: choose cpu or auto") from error
     return device
+
+
+def cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def keep_freed_memory() -> None:

@@ -98,7 +98,7 @@ def _rendered_images(source: str, category: Category, broken: Broken) -> ViewSou
     rendered = open_views(source)
     if rendered.category != category.name:
         raise InputError(f"{source}: views of {rendered.category}, not of {category.name}")
-    return ViewSource(rendered, len(rendered), rendered.noise is not None)
+    return ViewSource(rendered, len(rendered), rendered.noise is not None or rendered.clutter)
 
 
 KINDS: dict[str, SourceKind] = {

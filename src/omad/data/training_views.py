@@ -3,13 +3,13 @@
 Nothing is rendered and no data set is stored: the samples of an object are posed, seen from a random
 standard viewpoint, and the nearest sample of every cell of a coarse image is kept (a point z-buffer).
 One point a cell is also what random pixels of a depth image are: equally dense in the image.
+``clutter`` spoils them, where it is asked for.
 All lengths are in category units.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -17,74 +17,17 @@ from torch import Tensor
 
 from omad.geometry.camera import STANDARD_CAMERA
 from omad.geometry.kinematics import part_transforms
-from omad.geometry.transforms import bounding_box
+from omad.geometry.transforms import transform_points
 from omad.objects.category import Category
-from omad.objects.model import SampledObject
 
+from .clutter.correlated_noise import add_correlated_noise
+from .clutter.outline import Grid
+from .clutter.settings import Clutter
+from .clutter.spoil import Scene, spoil
+from .point_views import PosedSamples, look, pose, visible
 from .rendering.depth_noise import ON
 from .rendering.viewpoints import sample_poses, sample_states, uniform
-
-GRID = 48
-"""Cells of the point z-buffer across the object's bounding sphere."""
-
-
-@dataclass(frozen=True)
-class SurfaceBank:
-    """Surface samples of a set of N objects, S each, in category units."""
-
-    points: Tensor
-    """(N, S, 3) canonical space at rest."""
-    normals: Tensor
-    """(N, S, 3) unit, outward."""
-    labels: Tensor
-    """(N, S) int64 part."""
-    axes: Tensor
-    """(N, J, 3)."""
-    pivots: Tensor
-    """(N, J, 3)."""
-    limits: Tensor
-    """(N, J, 2) radians or category units."""
-    closed: Tensor
-    """(N,) bool: normals are trusted to point outward, so that points on the far side can be culled."""
-
-    @classmethod
-    def from_models(
-        cls, models: Sequence[SampledObject], category: Category, samples: int = 8192, seed: int = 0
-    ) -> SurfaceBank:
-        """Sample every model; the same seed gives the same bank."""
-        drawn = [m.surface_samples(samples, np.random.default_rng([seed, i])) for i, m in enumerate(models)]
-        unit = category.metres_per_unit
-
-        def tensor(arrays: Sequence[np.ndarray]) -> Tensor:
-            return torch.as_tensor(np.stack(arrays), dtype=torch.float32)
-
-        return cls(
-            points=tensor([d.points / unit for d in drawn]),
-            normals=tensor([d.normals for d in drawn]),
-            labels=torch.as_tensor(np.stack([d.labels for d in drawn])),
-            axes=tensor([m.axes for m in models]),
-            pivots=tensor([m.pivots / unit for m in models]),
-            limits=tensor([m.limits / category.state_units[:, None] for m in models]),
-            closed=torch.tensor([m.closed for m in models]),
-        )
-
-    def __len__(self) -> int:
-        return len(self.points)
-
-    def to(self, device: torch.device | str) -> SurfaceBank:
-        return SurfaceBank(**{f.name: getattr(self, f.name).to(device) for f in fields(self)})
-
-    def scaled(self, indices: Tensor, scale: Tensor) -> SurfaceBank:
-        """Objects ``indices`` (B,) stretched by ``scale`` (B, 3) along the canonical axes, joints along with them."""
-        chosen = SurfaceBank(**{f.name: getattr(self, f.name)[indices] for f in fields(self)})
-        axes, scale = chosen.axes * scale[:, None], scale[:, None]
-        return replace(
-            chosen,
-            points=chosen.points * scale,
-            normals=torch.nn.functional.normalize(chosen.normals / scale, dim=-1),
-            axes=axes / axes.norm(dim=-1, keepdim=True),
-            pivots=chosen.pivots * scale,
-        )
+from .surface_bank import SurfaceBank
 
 
 @dataclass(frozen=True)
@@ -97,6 +40,8 @@ class ViewSettings:
     """Range of the random stretch of each canonical axis."""
     noise: float = 2.0
     """Largest depth-noise level, in multiples of the standard camera noise; half of the views have none."""
+    clutter: Clutter | None = None
+    """How views are spoilt as the world spoils them; None: not at all."""
 
 
 @dataclass(frozen=True)
@@ -106,7 +51,7 @@ class ViewBatch:
     points: Tensor
     """(B, n, 3) camera frame, random order."""
     labels: Tensor
-    """(B, n) int64 part."""
+    """(B, n) int64 part; their number where a point is not on the object."""
     states: Tensor
     """(B, J)."""
     T_camera_base: Tensor
@@ -127,6 +72,10 @@ def draw_views(
     """``batch`` random views of random objects of the bank; everything comes from ``generator``."""
     indices = torch.randint(len(bank), (batch,), device=bank.points.device, generator=generator)
     scale = uniform(*settings.scale, (batch, 3), bank.points, generator)
+    if settings.clutter is not None:
+        resized = torch.rand(batch, 1, device=scale.device, generator=generator) < settings.clutter.resized
+        size = uniform(*settings.clutter.size, (batch, 1), bank.points, generator)
+        scale = torch.where(resized, size * scale, scale)
     return draw_views_of(bank, category, indices, scale, settings, generator)
 
 
@@ -139,26 +88,25 @@ def draw_views_of(
     generator: torch.Generator,
 ) -> ViewBatch:
     """One random view of each of the objects ``indices`` (B,), stretched by ``scale`` (B, 3)."""
-    like, batch = bank.points, len(indices)
-    objects = bank.scaled(indices, scale)
-    states = sample_states(objects.limits, generator)
+    like, batch, clutter = bank.points, len(indices), settings.clutter
+    joints = bank.joints(indices, scale)
+    states = sample_states(joints.limits, generator)
 
     identity = torch.eye(4, dtype=like.dtype, device=like.device).expand(batch, 4, 4)
-    T_base_part = part_transforms(category.tree, objects.axes, objects.pivots, states, identity)
-    points = _carry(T_base_part, objects.points, objects.labels)
-    normals = _carry(T_base_part, objects.normals, objects.labels, direction=True)
-    centre = torch.stack(bounding_box(points)).mean(0)
-    radius = (points - centre[:, None]).norm(dim=-1).amax(-1)
-    T_camera_base = sample_poses(category.views, centre, radius, generator)
-    R, t = T_camera_base[:, :3, :3], T_camera_base[:, None, :3, 3]
-    points, normals, centre = points @ R.mT + t, normals @ R.mT, (centre[:, None] @ R.mT + t).squeeze(1)
-
+    T_base_part = part_transforms(category.tree, joints.axes, joints.pivots, states, identity)
+    posed = pose(bank, indices, scale, T_base_part)
+    T_camera_base, spoilt = _cameras(category, posed, clutter, generator)
     level = uniform(0.0, settings.noise, (batch,), like, generator)
     level = level * (torch.rand(batch, device=like.device, generator=generator) < 0.5)
-    cos_view = -(normals * points).sum(-1) / points.norm(dim=-1)
-    seen = visible(points, centre, radius) & ((cos_view > 0) | ~objects.closed[:, None]) & _in_frame(points)
-    seen &= (cos_view.abs() > np.cos(ON.grazing)) | (level == 0)[:, None]
-    seen &= ~_holes(points, centre, radius, level, generator)
+    steepest = torch.where(level > 0, float(np.cos(ON.grazing)), -1.0)
+    points, facing = look(posed, bank.closed[indices], T_camera_base, steepest)
+    centre = transform_points(T_camera_base, posed.centre[:, None]).squeeze(1)
+    seen = visible(points, centre, posed.radius) & facing & _in_frame(points)
+    seen &= ~_holes(points, centre, posed.radius, level, generator)
+    labels = bank.labels[indices]
+    if clutter is not None:
+        scene = Scene(points, seen, labels, centre, posed.radius, T_camera_base)
+        points, seen, labels = spoil(scene, spoilt, clutter, len(category.parts), generator)
 
     # a random choice of the visible points; where there are too few, they repeat
     rank = torch.rand(seen.shape, device=like.device, generator=generator).masked_fill_(~seen, -1.0)
@@ -166,30 +114,24 @@ def draw_views_of(
     chosen = rank.topk(settings.points, dim=1).indices.gather(1, slot)
     picked = points.gather(1, chosen[..., None].expand(-1, -1, 3))
     picked = _add_noise(picked, level, category.metres_per_unit, generator)
-    labels = objects.labels.gather(1, chosen)
-    return ViewBatch(picked, labels, states, T_camera_base, objects.axes, objects.pivots, indices, scale)
+    if clutter is not None:
+        picked = add_correlated_noise(picked, Grid.over(centre, posed.radius), spoilt, clutter, generator)
+    labels = labels.gather(1, chosen)
+    return ViewBatch(picked, labels, states, T_camera_base, joints.axes, joints.pivots, indices, scale)
 
 
-def visible(points: Tensor, centre: Tensor, radius: Tensor) -> Tensor:
-    """Point z-buffer: whether a point (B, S, 3) is the nearest of its image cell -> (B, S) bool. Cells are laid over
-    the bounding sphere (``centre`` (B, 3), ``radius`` (B,), camera frame)."""
-    depth, cells = points[..., 2], int(GRID * 1.3)
-    half_extent = 1.3 * radius / centre[:, 2]  # perspective enlarges the near side of the sphere
-    offset = points[..., :2] / depth[..., None] - (centre[:, :2] / centre[:, 2:])[:, None]
-    column, row = ((offset / half_extent[:, None, None] + 1) * (cells / 2)).long().clamp(0, cells - 1).unbind(-1)
-    cell = row * cells + column
-    nearest = depth.new_full((len(points), cells * cells), torch.inf).scatter_reduce_(1, cell, depth, "amin")
-    return depth <= nearest.gather(1, cell)
-
-
-def _carry(T: Tensor, vectors: Tensor, labels: Tensor, direction: bool = False) -> Tensor:
-    """Each vector (B, S, 3) by the transform T (B, K, 4, 4) of its part."""
-    result = torch.zeros_like(vectors)
-    for part in range(T.shape[1]):
-        turned = vectors @ T[:, part, :3, :3].mT
-        moved = turned if direction else turned + T[:, part, None, :3, 3]
-        result = torch.where((labels == part)[..., None], moved, result)
-    return result
+def _cameras(
+    category: Category, posed: PosedSamples, clutter: Clutter | None, generator: torch.Generator
+) -> tuple[Tensor, Tensor]:
+    """T_camera_base (B, 4, 4), and which views are to be spoilt, (B,)."""
+    sphere = posed.centre, posed.radius
+    T_camera_base = sample_poses(category.views, *sphere, generator)
+    if clutter is None:
+        return T_camera_base, torch.zeros_like(posed.radius, dtype=torch.bool)
+    share = torch.rand(2, len(posed.radius), device=posed.radius.device, generator=generator)
+    spoilt, around = share[0] >= clutter.clean, share[1] < clutter.around
+    other = sample_poses(clutter.views, *sphere, generator, span=clutter.span)
+    return torch.where((spoilt & around)[:, None, None], other, T_camera_base), spoilt
 
 
 def _in_frame(points: Tensor) -> Tensor:

@@ -5,6 +5,7 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
+from omad.geometry.rigid import box
 from omad.objects.category import Category
 from omad.sensing.observation import Observation
 
@@ -60,7 +61,8 @@ def doubts(observation: Observation, estimate: Estimate, depth_scale: float | No
 
 def size_doubts(observation: Observation, category: Category, depth_scale: float | None = None) -> Iterator[Check]:
     """Where the cloud cannot be an object of the category at its size: a wrong depth scale, mostly."""
-    size = float(np.linalg.norm(np.ptp(observation.points, axis=0)))
+    low, high = box(observation.points)
+    size = float(np.linalg.norm(high - low))
     usual = USUAL_SIZE * category.metres_per_unit
     if usual / ODD_SIZE < size < ODD_SIZE * usual:
         return

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from omad.common.arrays import as_numpy
 from omad.common.errors import InputError
@@ -22,6 +22,8 @@ from omad.objects.category import Category
 from omad.objects.model import ObjectModel
 from omad.objects.pose import ObjectPose
 from omad.objects.urdf import write_urdf
+
+from .part_labels import LabelledPoints
 
 
 @dataclass(frozen=True)
@@ -62,8 +64,21 @@ class JointEstimate:
         along = rigid(np.eye(3), travel * self.unit_motion.slide * self.axis)
         if self.pivot is None:
             return along
+        from scipy.spatial.transform import Rotation  # slow to import
+
         turn = Rotation.from_rotvec(travel * self.unit_motion.turn * self.axis)
         return along @ turned_about(turn.as_matrix(), self.pivot)
+
+
+def _joints(
+    specs: Sequence[tuple[str, str, tuple[float, float], Motion]], placed: ObjectPose, state_std: Sequence[float]
+) -> tuple[JointEstimate, ...]:
+    """Of one object; ``specs`` are names, types, limits and what a unit of state does."""
+    rows = zip(specs, placed.states.tolist(), state_std, placed.axes, placed.pivots, strict=True)
+    return tuple(
+        JointEstimate(name, kind, state, std, limits, axis, pivot if motion.turns else None, motion)
+        for (name, kind, limits, motion), state, std, axis, pivot in rows
+    )
 
 
 @dataclass(frozen=True)
@@ -73,16 +88,12 @@ class PoseEstimate(PosedObject):
     joints: tuple[JointEstimate, ...]
 
     @classmethod
-    def of(cls, category: Category, posed: PosedObject, state_std: np.ndarray) -> PoseEstimate:
-        """With the standard deviations (J,) of the joint states."""
-        pose, limits = posed.placed, category.metric_limits.tolist()
-        states = zip(pose.states.tolist(), state_std.tolist(), strict=True)
-        rows = zip(category.joints, states, limits, pose.axes, pose.pivots, strict=True)
-        joints = (
-            JointEstimate(j.name, j.type, *state, (low, high), axis, pivot if j.motion.turns else None, j.motion)
-            for j, state, (low, high), axis, pivot in rows
-        )
-        return PoseEstimate(**vars(posed), joints=tuple(joints))
+    def of(cls, category: Category, posed: Sequence[PosedObject], state_std: np.ndarray) -> list[PoseEstimate]:
+        """Each of B objects, with the standard deviations (B, J) of the joint states."""
+        limits = [(low, high) for low, high in category.metric_limits.tolist()]
+        specs = [(j.name, j.type, pair, j.motion) for j, pair in zip(category.joints, limits, strict=True)]
+        rows = zip(posed, state_std.tolist(), strict=True)
+        return [PoseEstimate(**vars(one), joints=_joints(specs, one.placed, std)) for one, std in rows]
 
     @property
     def T_camera_part(self) -> np.ndarray:
@@ -118,12 +129,22 @@ class Estimate(PoseEstimate):
     converged: bool
     residual: float
     """RMS distance between model and observed keypoints."""
-    part_labels: np.ndarray
-    """(N,) part of every point of the observation."""
+    labelled: LabelledPoints
+    """What the network said of the parts of the observation's points."""
     initial: PoseEstimate
     """The network's own answer, before any fitting."""
     seconds: dict[str, float] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
+
+    @property
+    def part_labels(self) -> np.ndarray:
+        """(N,) part of every point of the observation, -1 for those that are not on the object; worked out at the first
+        time of asking."""
+        return self.labelled.labels
+
+    def without_labels(self) -> Self:
+        """The same without part labels, for which it keeps the observation's points: for who keeps a great many."""
+        return replace(self, labelled=LabelledPoints.none())
 
     def initial_pose(self) -> ObjectPose:
         """Initial pose, as the metrics take it."""
@@ -135,7 +156,7 @@ class Estimate(PoseEstimate):
 
     def to_dict(self) -> dict[str, Any]:
         """What ``to_json`` writes, as plain Python values."""
-        counts = np.bincount(self.part_labels, minlength=len(self.category.parts))
+        counts = np.bincount(self.part_labels[self.part_labels >= 0], minlength=len(self.category.parts))
         parts = zip(self.category.parts, self.T_camera_part, counts, strict=True)
         initial = ("joints", "T_camera_base", "beta")
         return plain(

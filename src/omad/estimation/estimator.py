@@ -3,35 +3,43 @@
     1. a first look in camera axes; its keypoints are fitted by least squares
     2. a second look in the base frame so found, where every object stands alike; fitted again
 
+Where the first look finds other things than the object, all choices are labelled, and it is repeated without them.
+
 Each look shows the network a few random choices of the points and averages what it says, by confidence.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import accumulate
 from pathlib import Path
-from typing import Self, overload
+from typing import Any, Self, overload
 
 import numpy as np
 import torch
-from scipy.spatial import KDTree
 from torch import Tensor
 
-from omad.common.arrays import as_doubles
+from omad.common.arrays import as_doubles, as_numpy
+from omad.common.errors import InputError
 from omad.common.runtime import Stopwatch, pick_device
 from omad.geometry.transforms import transform_points
 from omad.model.checkpoint import find_weights, load
 from omad.model.fitting.energy import RefinementConfig
 from omad.model.fitting.refinement import Refiner
 from omad.model.fitting.state import Refined, State, Targets
-from omad.model.network_input import first_frame, sample_clouds, to_input_frame
+from omad.model.inference.network import inference_net
+from omad.model.network_input import first_frame, to_input_frame
 from omad.model.omadnet import OmadNet, Prediction
-from omad.model.posed_object import posed_objects
+from omad.model.posed_object import Poser
 from omad.objects.category import Category
 from omad.sensing.observation import Observation
 
+from .ahead import compile_ahead
 from .checks import network_doubts, size_doubts
 from .estimate import Estimate, PoseEstimate
 from .known import Known, Near
+from .several_views import Rig, one_answer
+from .shown import Shown
 
 NOTHING_KNOWN = Known()
 
@@ -56,15 +64,44 @@ class EstimatorConfig:
     batch: int = 128
     """Observations that go through the network together."""
 
+    @classmethod
+    def fast(cls) -> Self:
+        """Half the passes of the network, for about a tenth of the accuracy; ``docs/speed.md`` has the figures."""
+        return cls(samples=(1, 1), near_samples=1)
+
 
 @dataclass(frozen=True)
 class _Look:
     """One look at B clouds, in the camera frame and category units."""
 
     targets: Targets
-    state: State
-    part_logits: Tensor
-    """(B, n, K)."""
+    said: Prediction
+    """Of the samples of all clouds, in their frames."""
+    samples: int
+    frame: Tensor
+    """T_camera_input (B, 4, 4)."""
+
+    @cached_property
+    def state(self) -> State:
+        """What the network itself says of the unknowns."""
+        beta, states = (
+            values.unflatten(0, (-1, self.samples)).mean(1) for values in (self.said.beta, self.said.states)
+        )
+        return State(beta, states, self.frame @ self.said.T_input_base[:: self.samples])
+
+    @property
+    def part_logits(self) -> Tensor:
+        """(B, n, K), or K + 1 where the network tells points outside the object."""
+        return self.said.part_logits.unflatten(0, (-1, self.samples)).flatten(1, 2)
+
+    def put(self, rows: Tensor, other: Self) -> None:
+        """Replace what is seen of the clouds ``rows``."""
+        samples = (rows[:, None] * self.samples + torch.arange(self.samples, device=rows.device)).flatten()
+        for mine, theirs in zip(vars(self.said).values(), vars(other.said).values(), strict=True):
+            mine[samples] = theirs
+        for mine, theirs in zip(vars(self.targets).values(), vars(other.targets).values(), strict=True):
+            mine[rows] = theirs
+        self.frame[rows] = other.frame
 
 
 class Estimator:
@@ -80,9 +117,10 @@ class Estimator:
         """``refine`` takes the place of least squares, for comparison."""
         self.device = torch.device(device)
         self.net = net.to(self.device).eval()
+        self._forward = inference_net(self.net)
         self.config = config or EstimatorConfig()
         self.refine = refine
-        self._kept: Refiner | None = None
+        self._kept: dict[int, Refiner] = {}
 
     @classmethod
     def from_pretrained(
@@ -92,8 +130,11 @@ class Estimator:
         config: EstimatorConfig | None = None,
         refine: Refine = Refiner.__call__,
     ) -> Self:
-        """``weights``: a category with shipped weights, or a checkpoint folder. Raises InputError."""
-        return cls(load(OmadNet, find_weights(weights)), config, pick_device(device), refine)
+        """``weights``: a category with shipped weights, or a checkpoint folder. What is not yet compiled for this
+        machine is compiled here, so that no answer waits for it. Raises InputError."""
+        estimator = cls(load(OmadNet, find_weights(weights)), config, pick_device(device), refine)
+        compile_ahead(estimator, estimator.category, (estimator.config, estimator.device.type, refine))
+        return estimator
 
     @property
     def category(self) -> Category:
@@ -102,12 +143,20 @@ class Estimator:
     @overload
     def __call__(self, observation: Observation, known: Known = NOTHING_KNOWN) -> Estimate: ...
     @overload
-    def __call__(self, observation: Sequence[Observation], known: Known = NOTHING_KNOWN) -> list[Estimate]: ...
     def __call__(
-        self, observation: Observation | Sequence[Observation], known: Known = NOTHING_KNOWN
+        self, observation: Sequence[Observation], known: Known = NOTHING_KNOWN, T_world_camera: Any = None
+    ) -> list[Estimate]: ...
+    def __call__(
+        self, observation: Observation | Sequence[Observation], known: Known = NOTHING_KNOWN, T_world_camera: Any = None
     ) -> Estimate | list[Estimate]:
-        """Estimate one observation, or several as a batch. What is ``known`` holds for all of them, and is kept."""
+        """Estimate one observation, or several as a batch. What is ``known`` holds for all of them, and is kept.
+
+        With ``T_world_camera`` (V, 4, 4), in metres, the V observations are views of one object at one moment, by
+        cameras whose places in any one frame are known: they get one answer, given in each camera's own frame. What is
+        ``known`` of gravity is then in the first camera's frame. Raises InputError for wrong shapes and poses."""
         known.check(self.category, self.net.prior.basis_size)
+        if T_world_camera is not None:
+            return self._together(observation, known, T_world_camera)
         if isinstance(observation, Observation):
             return self._estimate([observation], known)[0]
         size = self.config.batch
@@ -119,33 +168,59 @@ class Estimator:
 
     def moved(self, estimate: Estimate, state: Near, covariance: np.ndarray) -> Estimate:
         """The answer with another shape, pose and joint states, those of a filter say; ``covariance`` (P, P) theirs."""
-        prior, category = self.net.prior, self.category
-        [posed] = posed_objects(prior, category, state.start(category, prior.learned_basis))
-        moved = PoseEstimate.of(category, posed, _state_std(covariance, category))
+        posed = self._posed(state.start(self.category, self.net.prior.learned_basis))
+        [moved] = PoseEstimate.of(self.category, posed, _state_std(covariance[None], self.category))
         return replace(estimate, **vars(moved), covariance=covariance)
 
+    def _together(
+        self, views: Observation | Sequence[Observation], known: Known, T_world_camera: Any
+    ) -> list[Estimate]:
+        if isinstance(views, Observation) or not views:
+            raise InputError("T_world_camera: is for several views of one object; give a list of observations with it")
+        rig = Rig.of(T_world_camera, len(views), self.category.metres_per_unit, self.net.prior.learned_basis)
+        return one_answer(self._estimate(views, known, rig=rig)) if len(views) > 1 else self._estimate(views, known)
+
+    @cached_property
+    def _posed(self) -> Poser:
+        return Poser(self.net.prior, self.category)
+
     @torch.no_grad()
-    def _estimate(self, observations: Sequence[Observation], known: Known, near: Near | None = None) -> list[Estimate]:
+    def _estimate(
+        self, observations: Sequence[Observation], known: Known, near: Near | None = None, rig: Rig | None = None
+    ) -> list[Estimate]:
+        """``rig``: of the cameras of all observations, where these are views of one object at one moment."""
         config, watch = self.config, Stopwatch(self.device)
         looks = config.samples if near is None else (config.near_samples,)
         size = self.net.backbone.config.points
-        clouds, chosen = sample_clouds(observations, size, sum(looks), config.seed, self.category, self.device)
-        start = None if near is None else near.start(self.category, clouds)
-        frame = first_frame(clouds.flatten(1, 2)) if start is None else start.T_camera_base
-        seen: list[_Look] = []
-        for cloud in clouds.split(looks, dim=1):
-            seen.append(self._look(cloud, frame))
+        shown = Shown.of(observations, size, sum(looks), config.seed, self.category, self.device)
+        start = None if near is None else near.start(self.category, shown.clouds)
+        frame = first_frame(shown.clouds.flatten(1, 2)) if start is None else start.T_camera_base
+        labels = self.net.tells_outside
+        seen = [self._look(shown.clouds[:, : looks[0]], frame, labels or len(looks) == 1)]
+        if labels and (crowded := shown.crowded(as_numpy(seen[0].part_logits))):
+            rows = torch.tensor(crowded, device=self.device)
+            said = self._look(shown.clouds[rows], frame[rows], labels=True).part_logits
+            shown = shown.without_outside(crowded, as_numpy(said), config.seed)
+            clouds = shown.clouds[rows]
+            again = first_frame(clouds.flatten(1, 2)) if start is None else frame[rows]
+            seen[0].put(rows, self._look(clouds[:, : looks[0]], again, labels=True))
+        watch.lap("network")
+        refined = self._refine(seen[0], start, known, near, rig)
+        watch.lap("refinement")
+        for first, count in zip(accumulate(looks), looks[1:], strict=False):
+            start = refined.state
+            clouds = shown.clouds[:, first : first + count]
+            seen.append(self._look(clouds, start.T_camera_base, labels=first + count == sum(looks)))
             watch.lap("network")
-            refined = self._refine(seen[-1], start, known, near)
-            start, frame = refined.state, refined.state.T_camera_base
+            refined = self._refine(seen[-1], start, known, near, rig)
             watch.lap("refinement")
-        return self._answers(observations, chosen, seen, refined, watch.shares(len(observations)))
+        return self._answers(shown, seen, refined, watch.shares(len(observations)))
 
-    def _look(self, clouds: Tensor, frame: Tensor) -> _Look:
+    def _look(self, clouds: Tensor, frame: Tensor, labels: bool) -> _Look:
         """Run the network in ``frame`` (B, 4, 4) on all samples of each cloud and average its answers."""
         samples = clouds.shape[1]
-        frames = frame[:, None].expand(-1, samples, -1, -1).flatten(0, 1)
-        said: Prediction = self.net(to_input_frame(clouds.flatten(0, 1), frames))
+        shown = to_input_frame(clouds.flatten(1, 2), frame).view(-1, *clouds.shape[2:])
+        said = self._forward(shown, labels)
         log_sigma = said.log_sigma
         if not self.config.confidence:
             log_sigma = log_sigma.mean(-1, keepdim=True).expand_as(log_sigma)
@@ -155,61 +230,73 @@ class Estimator:
 
         precision = each((-2 * log_sigma).exp())
         total = precision.sum(1)
-        mean = (precision[..., None] * each(transform_points(frames, said.keypoints))).sum(1) / total[..., None]
-        poses = each(frames @ said.T_input_base)[:, 0]
-        state = State(each(said.beta).mean(1), each(said.states).mean(1), poses)
-        return _Look(Targets(mean, total / samples), state, each(said.part_logits).flatten(1, 2))
+        mean = (precision[..., None] * each(said.keypoints)).sum(1) / total[..., None]
+        return _Look(Targets(transform_points(frame, mean), total / samples), said, samples, frame)
 
-    def _refine(self, look: _Look, start: State | None, known: Known, near: Near | None) -> Refined:
+    def _refine(
+        self, look: _Look, start: State | None, known: Known, near: Near | None, rig: Rig | None = None
+    ) -> Refined:
         """From ``start``, or where there is none from the network's answer with the base where its keypoints say: they
         have no seam, as its quaternion has one somewhere on the circle around the object."""
-        refiner = self._refiner(known)
-        start = known.apply_to(start or refiner.with_fitted_pose(look.targets, look.state), self.category)
+        refiner, targets = self._refiner(known), look.targets
+        start = start or refiner.with_fitted_pose(targets, look.state)
+        if rig is not None:
+            start, targets = rig.in_first(start), rig.carried(targets)
+        start = start if known.is_nothing else known.apply_to(start, self.category)
         if near is not None:
             refiner = refiner.with_shape_prior(torch.as_tensor(near.beta), torch.as_tensor(near.beta_covariance))
-        return self.refine(refiner, look.targets, start)
+        refined = self.refine(refiner, targets, start)
+        if rig is None:
+            return refined
+        prior, alone = self.net.prior, refined.state
+        best, together = rig.together(targets, prior.deform(alone.beta, alone.joint_states, alone.T_camera_base))
+        start = State.unpack(alone.pack()[best], len(self.category.joints))
+        return rig.each(self.refine(self._refiner(known, len(alone.beta)), together, start), prior, look.targets)
 
-    def _refiner(self, known: Known) -> Refiner:
-        """The one for nothing known is kept."""
+    def _refiner(self, known: Known, views: int = 1) -> Refiner:
+        """For targets that have every keypoint once a view. Those for nothing known are kept."""
         config, prior = self.config.refinement, self.net.prior
-        if known.is_nothing and self._kept is not None and self._kept.config is config:
-            return self._kept
+        kept = self._kept.get(views)
+        if known.is_nothing and kept is not None and kept.config is config:
+            return kept
         limits = torch.tensor([j.limits for j in self.category.joints], device=self.device)
-        refiner = Refiner(prior, limits, config, known.free(self.category, prior.basis_size))
+        refiner = Refiner(prior.repeated(views), limits, config, known.free(self.category, prior.basis_size))
         if known.is_nothing:
-            self._kept = refiner
+            self._kept[views] = refiner
         return refiner
 
     def _answers(
-        self, observations: Sequence[Observation], chosen: Sequence[np.ndarray], looks: Sequence[_Look],
-        refined: Refined, seconds: dict[str, float],
-    ) -> list[Estimate]:  # fmt: skip
-        """``chosen``: which points of each observation the looks saw, those of the last look last."""
-        category, prior, unit = self.category, self.net.prior, self.category.metres_per_unit
-        final, initial = (posed_objects(prior, category, state) for state in (refined.state, looks[0].state))
+        self, shown: Shown, looks: Sequence[_Look], refined: Refined, seconds: dict[str, float]
+    ) -> list[Estimate]:
+        category, unit, joints = self.category, self.category.metres_per_unit, len(self.category.joints)
         # from the refinement's unknowns to metres, radians and beta
-        scale = np.concatenate([np.ones(3), np.full(3, unit), category.state_units, np.ones(prior.basis_size)])
-        covariance = as_doubles(refined.covariance) * scale[:, None] * scale
+        scale = np.concatenate([np.ones(3), np.full(3, unit), category.state_units, np.ones(self.net.prior.basis_size)])
+        covariance = as_doubles(refined.covariance) * (scale[:, None] * scale)
+        # the fit's answers and the network's own, whose deviations are not known
+        rows = torch.cat([refined.state.pack(), looks[0].state.pack()])
+        std = _state_std(covariance, category)
+        poses = PoseEstimate.of(
+            category, self._posed(State.unpack(rows, joints)), np.concatenate([std, np.full_like(std, np.nan)])
+        )
+        final, initial = poses[: len(std)], poses[len(std) :]
+        converged, residual = refined.converged.tolist(), (refined.residual * unit).tolist()
         keypoint_std = unit / np.sqrt(as_doubles(looks[-1].targets.weights))
         observed = as_doubles(looks[-1].targets.keypoints) * unit
-        labels = looks[-1].part_logits.argmax(-1).cpu().numpy()
-        unknown = np.full(len(category.joints), np.nan)
+        logits = as_numpy(looks[-1].part_logits)
         estimates = []
-        for b, observation in enumerate(observations):
-            labelled = observation.points[chosen[b][-labels.shape[1] :]]
-            _, nearest = KDTree(labelled).query(observation.points)
+        for b, observation in enumerate(shown.observations):
             doubts = [*size_doubts(observation, category), *network_doubts(keypoint_std[b], category)]
             estimates.append(
                 Estimate(
-                    **vars(PoseEstimate.of(category, final[b], _state_std(covariance[b], category))),
+                    **vars(final[b]),
                     category=category,
                     observed_keypoints=observed[b],
                     keypoint_std=keypoint_std[b],
                     covariance=covariance[b],
-                    converged=bool(refined.converged[b]),
-                    residual=float(refined.residual[b]) * unit,
-                    part_labels=labels[b][nearest],
-                    initial=PoseEstimate.of(category, initial[b], unknown),
+                    converged=converged[b],
+                    residual=residual[b],
+                    labelled=shown.labelled(b, logits[b]),
+                    initial=initial[b],
                     seconds=dict(seconds),
                     warnings=(*observation.warnings, *map(str, doubts)),
                 )
@@ -218,5 +305,6 @@ class Estimator:
 
 
 def _state_std(covariance: np.ndarray, category: Category) -> np.ndarray:
-    """(J,) of a covariance (P, P)."""
-    return np.sqrt(np.clip(np.diag(covariance), 0, None))[6 : 6 + len(category.joints)]
+    """(B, J) of covariances (B, P, P)."""
+    variance = covariance.diagonal(axis1=1, axis2=2)[:, 6 : 6 + len(category.joints)]
+    return np.sqrt(np.clip(variance, 0, None))

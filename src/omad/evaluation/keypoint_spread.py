@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import torch
 
-from omad.data.training_views import SurfaceBank
+from omad.data.surface_bank import SurfaceBank
 from omad.model.object_prior import object_keypoints
 from omad.model.priornet import PriorNet
 from omad.objects.model import ObjectModel

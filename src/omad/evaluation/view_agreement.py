@@ -8,10 +8,12 @@ import torch
 
 from omad.common.batches import batched
 from omad.data.rendering.standard_views import standard_views
-from omad.data.training_views import SurfaceBank, ViewBatch, ViewSettings, draw_views
-from omad.model.network_input import choose_points, first_frame, to_input_frame
+from omad.data.surface_bank import SurfaceBank
+from omad.data.training_views import ViewBatch, ViewSettings, draw_views
+from omad.model.network_input import first_frame, to_input_frame
 from omad.model.object_prior import object_keypoints
 from omad.model.omadnet import OmadNet
+from omad.model.point_choice import choose_points
 from omad.model.priornet import PriorNet
 from omad.objects.model import ObjectModel
 from omad.training.train_net import view_truth
@@ -72,7 +74,8 @@ def _rendered(
         which = torch.tensor([number % len(models) for number, _ in some], device=bank.points.device)
         pose = tensor(view.T_camera_base for _, view in some)
         pose[:, :3, 3] /= category.metres_per_unit
-        points = tensor(cloud[choose_points(cloud, count, rng)] / category.metres_per_unit for cloud in clouds)
+        chosen = [choose_points(cloud, count, 1, int(rng.integers(2**63)))[0] for cloud in clouds]
+        points = tensor(c[index] / category.metres_per_unit for c, index in zip(clouds, chosen, strict=True))
         yield ViewBatch(
             points=points,
             labels=torch.zeros_like(points[..., 0], dtype=torch.int64),

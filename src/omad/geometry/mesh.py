@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError
 
 from .rigid import carry
 from .transforms import MIRROR_X
@@ -53,6 +52,8 @@ def triangle_normals(triangles: np.ndarray) -> np.ndarray:
 
 def convex_hull(points: np.ndarray) -> Mesh:
     """Convex hull, oriented outward; a flat set of points is given a little thickness first."""
+    from scipy.spatial import ConvexHull, QhullError  # slow to import
+
     try:
         hull = ConvexHull(points)
     except QhullError:

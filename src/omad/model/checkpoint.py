@@ -18,7 +18,7 @@ from omad.objects.category import Category
 FORMAT = 1
 WEIGHTS = Path(__file__).parent / "weights"
 """Shipped weights: ``<category>/`` is OMADNet, ``<category>/prior/`` is OMAD-PriorNet, ``<category>/ancsh/`` A-NCSH,
-``<category>/siamese/`` the Siamese network."""
+``<category>/siamese/`` the Siamese network, ``<category>/cluttered/`` an OMADNet for sloppy masks."""
 
 
 class Network(nn.Module):
@@ -81,12 +81,14 @@ def training_record(network: type[Network], folder: Path) -> dict[str, Any]:
 
 
 def find_weights(name: str | Path) -> Path:
-    """The folder of a category's shipped weights, or ``name`` itself where it is a checkpoint folder. A ``Path`` is
-    always a folder, even one that is called like a category."""
+    """The folder of a category's shipped weights, or of others that are shipped for it ("laptop/cluttered"), or
+    ``name`` itself where it is a checkpoint folder. A ``Path`` is a folder, even one that is called like a category."""
     if not isinstance(name, Path) and name in builtin_names() and (WEIGHTS / name).is_dir():
         return WEIGHTS / name
     if Path(name).is_dir():
         return Path(name)
+    if len(Path(name).parts) == 2 and is_checkpoint(WEIGHTS / name):
+        return WEIGHTS / name
     if isinstance(name, Path):
         raise InputError(f"{name}: no such folder; give the folder that a training wrote")
     known = ", ".join(shipped_categories()) or "none"

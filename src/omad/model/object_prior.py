@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from omad.common.arrays import as_doubles
-from omad.data.training_views import SurfaceBank
+from omad.data.surface_bank import SurfaceBank
 from omad.objects.model import ObjectModel, SampledObject
 
 from .priornet import PriorNet

@@ -15,9 +15,12 @@ from omad.geometry.transforms import make_transform, quaternion_to_matrix
 from omad.objects.category import Category
 
 from .backbones import SLIM, BackboneConfig, backbone_from_dict, backbone_to_dict
-from .backbones.pointnet2 import interpolate
+from .backbones.point_ops import interpolate
 from .checkpoint import Network
 from .prior import OmadPrior
+
+NEW_CLASS = {"part_out.weight": (0, 0, 0, 1), "part_out.bias": (0, 1)}
+"""Weights that have a row more for points outside the object, and where it stands."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +40,8 @@ class Prediction:
     log_sigma: Tensor
     """(B, M) log of each keypoint's expected error per coordinate, category units."""
     part_logits: Tensor
-    """(B, N, K) for every input point."""
+    """(B, N, K) for every input point, or (B, 0, K): of the parts, and where the network tells them, one more of points
+    that are not on the object."""
 
     @property
     def T_input_base(self) -> Tensor:
@@ -51,11 +55,17 @@ class OmadNet(Network):
     kind = "net"
 
     def __init__(
-        self, category: Category, prior: OmadPrior, backbone: BackboneConfig = SLIM, attention: bool = True
+        self,
+        category: Category,
+        prior: OmadPrior,
+        backbone: BackboneConfig = SLIM,
+        attention: bool = True,
+        tells_outside: bool = False,
     ) -> None:
-        """``attention=False``: every centre's vote counts alike, to measure what the scores are good for."""
+        """``attention=False``: every centre's vote counts alike, to measure what the scores are good for.
+        ``tells_outside``: it labels points that are not on the object, too."""
         super().__init__()
-        self.category, self.attention = category, attention
+        self.category, self.attention, self.tells_outside = category, attention, tells_outside
         self.prior = prior.requires_grad_(False)
         self.backbone = backbone.build()
         width, dense = backbone.pooled, backbone.dense
@@ -66,32 +76,47 @@ class OmadNet(Network):
         self.keypoint_branch = nn.Sequential(nn.Linear(dense, dense), nn.ReLU(), nn.Linear(dense, 5 * keypoints))
         self.part_coarse = nn.Linear(dense, 32)
         self.part_fine = nn.Linear(3, 32, bias=False)
-        self.part_out = nn.Linear(32, parts)
+        self.part_out = nn.Linear(32, parts + tells_outside)
 
     def sizes(self) -> dict[str, Any]:
-        return {"backbone": backbone_to_dict(self.backbone.config), "attention": self.attention}
+        told = {"attention": self.attention, "tells_outside": self.tells_outside}
+        return {"backbone": backbone_to_dict(self.backbone.config), **told}
 
     @classmethod
     def from_sizes(cls, category: Category, sizes: dict[str, Any]) -> Self:
         backbone = backbone_from_dict(sizes["backbone"])
-        return cls(category, OmadPrior(category), backbone, sizes.get("attention", True))
+        told = sizes.get("attention", True), sizes.get("tells_outside", False)
+        return cls(category, OmadPrior(category), backbone, *told)
 
-    def forward(self, points: Tensor) -> Prediction:
-        """points (B, N, 3) in the input frame, in random order."""
+    def start_from(self, other: Self) -> None:
+        """Take over the weights of another network, which may tell no points outside the object yet."""
+        weights = other.state_dict()
+        if self.tells_outside and not other.tells_outside:
+            weights |= {name: nn.functional.pad(weights[name], pad) for name, pad in NEW_CLASS.items()}
+        self.load_state_dict(weights)
+
+    def forward(self, points: Tensor, labels: bool = True) -> Prediction:
+        """points (B, N, 3) in the input frame, in random order; without ``labels`` the ``part_logits`` are of none."""
         features = self.backbone(points)
-        state = self.state_branch(features.pooled)
         votes = self.keypoint_branch(features.dense).unflatten(-1, (-1, 5))  # (B, C, M, 5)
         scores = votes[..., 3] if self.attention else torch.zeros_like(votes[..., 3])
         attention = scores.softmax(1)
         placed = features.centres[:, :, None] + votes[..., :3]
-        log_sigma = (attention * votes[..., 4]).sum(1) - 3.0  # starts near 0.05 units
+        keypoints = (attention[..., None] * placed).sum(1)  # paper, Eq. 7, with scores that sum to one
+        log_sigma = (attention * votes[..., 4]).sum(1)
+        points = points if labels else points[:, :0]
         part = interpolate(points, features.centres, self.part_coarse(features.dense)) + self.part_fine(points / 0.2)
+        return self.prediction(features.pooled, keypoints, log_sigma, self.part_out(part.relu()))
+
+    def prediction(self, pooled: Tensor, keypoints: Tensor, log_sigma: Tensor, part_logits: Tensor) -> Prediction:
+        """What the network says, with what two of its branches say of the whole cloud: ``pooled`` (B, pooled)."""
+        state = self.state_branch(pooled)
         return Prediction(
-            beta=self.prior.beta_mean + self.shape_branch(features.pooled),
+            beta=self.prior.beta_mean + self.shape_branch(pooled),
             quaternion=nn.functional.normalize(state[:, :4] + state.new_tensor([1e-3, 0, 0, 0]), dim=-1),
             translation=state[:, 4:7],
             states=state[:, 7:],
-            keypoints=(attention[..., None] * placed).sum(1),  # paper, Eq. 7, with scores that sum to one
-            log_sigma=log_sigma.clamp(-6.0, 1.0),
-            part_logits=self.part_out(part.relu()),
+            keypoints=keypoints,
+            log_sigma=(log_sigma - 3.0).clamp(-6.0, 1.0),  # starts near 0.05 units
+            part_logits=part_logits,
         )

@@ -30,9 +30,31 @@ class PosedObject:
     """(M, 3) camera frame."""
 
 
+class Poser:
+    """``posed_objects`` with a category's constants worked out once, and compiled on the CPU."""
+
+    def __init__(self, prior: OmadPrior, category: Category) -> None:
+        self._prior, self._category, self._compiled = prior, category, None
+        if prior.learned_basis.device.type == "cpu":
+            from .fitting.kernel.prior import kernel_prior  # compiled only where it is used
+
+            self._compiled = kernel_prior(prior)
+
+    def __call__(self, state: State) -> list[PosedObject]:
+        """The B objects of a ``state`` in category units."""
+        if self._compiled is None:
+            return posed_objects(self._prior, self._category, state)
+        from .fitting.kernel.objects import place_objects
+
+        category, rows = self._category, as_doubles(state.pack())
+        beta, *found = place_objects(self._compiled, rows, category.metres_per_unit, category.state_units)
+        placed = map(ObjectPose, *found[:4])
+        return list(map(PosedObject, beta, placed, *found[4:]))
+
+
 @torch.no_grad()
 def posed_objects(prior: OmadPrior, category: Category, state: State) -> list[PosedObject]:
-    """The B objects of a ``state`` in category units."""
+    """The B objects of a ``state`` in category units; on any device."""
     unit = category.metres_per_unit
     joints = prior.joints(state.beta)
     pivots = joints.pivots * unit

@@ -3,8 +3,10 @@
 Everything is in category units. B observations, M keypoints, J joints, D = |beta|.
 """
 
+from copy import copy
 from dataclasses import dataclass
 from itertools import accumulate, pairwise
+from typing import Self
 
 import torch
 from torch import Tensor, nn
@@ -98,6 +100,17 @@ class OmadPrior(nn.Module):
     @property
     def num_keypoints(self) -> int:
         return len(self.part_of)
+
+    def repeated(self, times: int) -> Self:
+        """The same prior with every keypoint so many times, one after the other, for targets that have each of them so
+        often. Parameters are shared."""
+        if times == 1:
+            return self
+        other = copy(self)
+        names = "part_of", "source", "slot", "is_image"
+        other._buffers = self._buffers | {name: getattr(self, name).repeat_interleave(times) for name in names}
+        other.keypoints_of_part = tuple(slice(times * of.start, times * of.stop) for of in self.keypoints_of_part)
+        return other
 
     @property
     def basis(self) -> Tensor:

@@ -6,8 +6,6 @@ from typing import Self
 
 import numpy as np
 import torch
-import trimesh
-from scipy.spatial import KDTree
 
 from omad.geometry.joint_kinds import Motion
 from omad.geometry.kinematics import KinematicTree, part_transforms
@@ -104,6 +102,8 @@ class ObjectModel:
     @property
     def closed(self) -> bool:
         """Whether every part is a union of closed, outward-oriented surfaces."""
+        import trimesh  # slow to import, and an answer does without
+
         meshes = (trimesh.Trimesh(part.vertices, part.faces, process=False) for part in self.parts)
         return all(mesh.is_watertight and mesh.volume > 0 for mesh in meshes)
 
@@ -172,6 +172,8 @@ SampledObject = ObjectModel | PointObject
 
 def _local_planes(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Unit normals (n, 3) of either sign, and the area (n,) that each point stands for, up to a common factor."""
+    from scipy.spatial import KDTree  # slow to import
+
     distances, nearest = KDTree(points).query(points, NEIGHBOURS)
     around = points[nearest] - points[nearest].mean(1, keepdims=True)
     normals = np.linalg.eigh(around.transpose(0, 2, 1) @ around)[1][..., 0]

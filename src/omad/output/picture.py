@@ -27,7 +27,7 @@ def reading(turns: bool) -> tuple[float, str]:
 
 
 def part_colours(parts: np.ndarray | int) -> np.ndarray:
-    """(..., 3) colours of parts by their number, the same in every picture."""
+    """(..., 3) colours of parts by their number, the same in every picture; the last one, grey, of what is none."""
     return PART_COLOURS[np.asarray(parts) % len(PART_COLOURS)]
 
 

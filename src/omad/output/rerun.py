@@ -13,6 +13,7 @@ from omad.estimation.estimate import Estimate
 from omad.geometry.rigid import carry
 from omad.sensing.observation import Observation
 
+from .picture import part_colours
 from .ply import byte_colours, part_surfaces
 
 AXIS_LENGTH = 0.3
@@ -39,7 +40,8 @@ def _record(rr: Any, path: Path, estimate: Estimate, observation: Observation) -
         log("camera/image", rr.Pinhole(image_from_camera=camera.K, resolution=[camera.width, camera.height]))
         log("camera/image/depth", rr.DepthImage(observation.depth, meter=1.0))
     colours, part_of = byte_colours(estimate), np.array(estimate.category.part_of_keypoint)
-    log("camera/cloud", rr.Points3D(observation.points, colors=colours[estimate.part_labels], radii=0.001))
+    seen = np.rint(255 * part_colours(estimate.part_labels)).astype(np.uint8)
+    log("camera/cloud", rr.Points3D(observation.points, colors=seen, radii=0.001))
     log("camera/keypoints", rr.Points3D(estimate.keypoints, colors=colours[part_of], radii=0.003))
     surfaces = part_surfaces(estimate, observation)
     for spec, mesh, T, colour in zip(estimate.category.parts, surfaces, estimate.T_camera_part, colours, strict=True):

@@ -1,18 +1,21 @@
 """Reading depth images, clouds and masks as people have them."""
 
+import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
-import trimesh
 from PIL import Image
 
 from omad.common.errors import InputError
 from omad.common.files import one_line
 
+from .masks import as_mask
+
 ARRAY_FORMATS = (".npy", ".npz")
 DEPTH_FORMATS = (".png", ".tif", ".tiff", *ARRAY_FORMATS)
+MASK_FORMATS = (*DEPTH_FORMATS, ".json")
 CLOUD_FORMATS = (".ply", ".pcd", ".xyz", ".txt", *ARRAY_FORMATS)
 MILLIMETRES = 1e-3
 """Metres per stored integer of a depth image that does not say otherwise."""
@@ -27,24 +30,41 @@ def read_depth(path: str | Path, depth_scale: float | None = None) -> np.ndarray
     if depth_scale is not None and not (np.isfinite(depth_scale) and depth_scale > 0):
         raise InputError(f"depth scale {depth_scale}: give metres per stored integer, 0.001 for millimetres")
     stored = read_array(path, "depth") if path.suffix.lower() in ARRAY_FORMATS else read_image(path)
+    try:
+        return in_metres(stored, depth_scale)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+
+
+def in_metres(stored: np.ndarray, depth_scale: float | None = None) -> np.ndarray:
+    """Depth image (H, W) float32 in metres of stored numbers, as ``read_depth`` takes them. Raises InputError."""
     stored = stored[..., 0] if stored.ndim == 3 and stored.shape[2] == 1 else stored
     if stored.ndim != 2 or stored.dtype == np.uint8:
         cure = "(8-bit or colour images hold too few depth steps); export 16-bit single-channel depth"
-        raise InputError(f"{path}: {stored.dtype} of shape {stored.shape} is no depth image {cure}")
+        raise InputError(f"{stored.dtype} of shape {stored.shape} is no depth image {cure}")
     if stored.dtype.kind not in "iuf":
-        raise InputError(f"{path}: dtype {stored.dtype} is no depth; store integers or floats")
+        raise InputError(f"dtype {stored.dtype} is no depth; store integers or floats")
     usual = 1.0 if stored.dtype.kind == "f" else MILLIMETRES
     return (stored * np.float64(usual if depth_scale is None else depth_scale)).astype(np.float32)
 
 
-def read_mask(path: str | Path) -> np.ndarray:
-    """Mask (H, W) bool, true where the image or array is not zero in any colour channel (alpha is ignored)."""
-    path = _existing(path, DEPTH_FORMATS, "mask")
-    stored = read_array(path, "mask") if path.suffix.lower() in ARRAY_FORMATS else read_image(path, "RGB")
-    stored = stored.any(-1) if stored.ndim == 3 else stored
-    if stored.ndim != 2:
-        raise InputError(f"{path}: a mask needs shape (H, W), got {stored.shape}")
-    return stored != 0
+def read_mask(path: str | Path, mask_id: int | None = None) -> np.ndarray:
+    """Mask (H, W) bool of an image, an array or the JSON of a COCO segmentation, as ``as_mask`` takes them; of an image
+    with a palette, ``mask_id`` is the number of a colour. Raises InputError."""
+    path = _existing(path, MASK_FORMATS, "mask")
+    if path.suffix.lower() == ".json":
+        with _readable(path, "JSON"):
+            stored = json.loads(path.read_text(encoding="utf-8"))
+            if not isinstance(stored, dict):
+                raise InputError(f"{path}: holds no mask; give one COCO segmentation, with size and counts")
+    elif path.suffix.lower() in ARRAY_FORMATS:
+        stored = read_array(path, "mask")
+    else:
+        stored = read_image(path, "RGBA" if mask_id is None else None)
+    try:
+        return as_mask(stored, mask_id)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
 
 
 def is_cloud(path: str | Path) -> bool:
@@ -121,6 +141,8 @@ def _readable(path: Path, kind: str) -> Iterator[None]:
 
 
 def _read_ply(path: Path) -> np.ndarray:
+    import trimesh  # slow to import
+
     vertices = getattr(trimesh.load(path, process=False), "vertices", None)
     if vertices is None:
         raise InputError(f"{path}: holds no vertices; export a point cloud")

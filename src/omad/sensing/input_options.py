@@ -13,7 +13,10 @@ class InputOptions:
     """Of the depth camera: fx,fy,cx,cy or a file (Open3D or RealSense JSON, ROS YAML, 3x3 text). A lens that the file
     tells of is undone."""
     mask: Path | None = None
-    """Image, non-zero where the object is; or a folder with a mask for each input, of the same name."""
+    """Image or array, non-zero where the object is (of probabilities one half), or a COCO segmentation (JSON); or a
+    folder with a mask for each input, of the same name."""
+    mask_id: int | None = None
+    """The object's number in a --mask that is a label image."""
     box: str | None = None
     """x1,y1,x2,y2 in pixels around the object, half-open; in every image."""
     segment: Literal["plane"] | None = None
@@ -35,4 +38,5 @@ class FrameOptions:
     """T_color_depth, depth camera to colour camera in metres: 4x4 text or NPY, or JSON with rotation and translation
     as librealsense writes them."""
     drop_flying: bool = False
-    """Leave out stray points that fly between fore- and background."""
+    """Leave out stray points that fly between fore- and background, and small patches that hang apart from the
+    object. Thin parts that are seen in pieces may go with them."""

@@ -5,20 +5,22 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal, Self
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from omad.common.arrays import as_numpy
 from omad.common.errors import InputError, NothingSeen
 from omad.geometry.camera import Camera
 from omad.geometry.lens import Distortion
 
-from .segmentation import RIVAL, segment_on_plane
+from .masks import as_mask
 
 MIN_POINTS = 50
 FAR = 100.0
 """Metres. A scene whose median distance is beyond this was stored in millimetres."""
 NEIGHBOURS = 8
 """Of a point, to tell whether it flies alone."""
+
+WHOLE, SPECK = 0.95, 0.0005
+"""Shares of the image above and below which a mask is doubtful."""
 
 Segmentation = Literal["plane"]
 
@@ -49,13 +51,16 @@ class Observation:
         segment: Segmentation | None = None,
         drop_flying: bool = False,
         distortion: Distortion | None = None,
+        mask_id: int | None = None,
     ) -> Self:
         """Back-project a depth image (H, W) of floats in metres; 0, negative, NaN and infinite mean no measurement.
         NumPy arrays and torch tensors of any device are taken alike.
 
-        Which pixels are the object's: ``mask`` (H, W), non-zero inside; ``box`` (x1, y1, x2, y2) pixels, half-open;
+        Which pixels are the object's: ``mask``, whatever ``as_mask`` takes, of a label image those with ``mask_id``;
+        ``box`` (x1, y1, x2, y2) pixels, half-open;
         ``segment="plane"`` takes away table, floor and walls and keeps the largest thing left. They combine; with none
-        of them every measured pixel counts. ``drop_flying`` removes stray points between fore- and background.
+        of them every measured pixel counts. ``drop_flying`` removes stray points between fore- and background, and
+        small patches that hang apart from the object.
 
         ``K``: (3, 3) matrix, (fx, fy, cx, cy) in pixels, or a ``Camera``; ``distortion``: the lens, where the image was
         not undistorted. Points then lie on the pixels' true rays, and ``depth``, ``mask`` and ``pixels`` are those of
@@ -64,23 +69,35 @@ class Observation:
         depth = _check_depth(depth_m)
         camera = _check_camera(K, depth.shape)
         camera = camera if distortion is None else replace(camera, distortion=distortion)
-        chosen = (depth > 0) & region_of(depth.shape, mask, box)
+        measured = depth > 0
+        mask = None if mask is None else as_mask(mask, mask_id)
+        chosen = region_of(depth.shape, mask, box)
+        chosen &= measured
         if (count := np.count_nonzero(chosen)) < MIN_POINTS:
             lie = f"depth: {count} of {np.count_nonzero(depth)} measured pixels lie inside mask and box"
             raise NothingSeen(f"{lie}, at least {MIN_POINTS} are needed; check mask, box and the camera's range")
         # a table is found in the whole frame even where the box leaves little of it
-        rows, columns = np.nonzero(chosen if segment is None else depth)
-        pixels = np.stack([columns, rows], 1)
-        points = camera.backproject(pixels, depth[rows, columns].astype(np.float64))
-        seen = np.nonzero(np.isfinite(points).all(1))[0]
-        kept, warnings = _select(points[seen], segment, drop_flying, chosen[rows[seen], columns[seen]])
-        kept = seen[kept]
-        points, pixels, chosen = points[kept], pixels[kept], np.zeros(depth.shape, dtype=bool)
-        chosen[rows[kept], columns[kept]] = True
+        place = np.flatnonzero(chosen if segment is None else measured)
+        pixels = np.empty((len(place), 2), dtype=int)
+        np.divmod(place, camera.width, out=(pixels[:, 1], pixels[:, 0]))
+        points = camera.backproject(pixels, depth.ravel()[place])
+        if not np.isfinite(points).all():
+            seen = np.isfinite(points).all(1)
+            place, pixels, points = place[seen], pixels[seen], points[seen]
+        kept, warnings = _select(points, segment, drop_flying, chosen.ravel()[place])
+        if drop_flying:
+            from .patches import hanging  # imports SciPy, which takes long
+
+            kept = kept[~hanging(points[kept], pixels[kept], depth.shape)]
+        if len(kept) < count or segment is not None:
+            place, pixels, points = place[kept], pixels[kept], points[kept]
+            chosen = np.zeros(depth.shape, dtype=bool)
+            chosen.ravel()[place] = True
         if camera.distortion is not None:
             depth, chosen, camera = camera.rectified(depth), camera.rectified(chosen), camera.pinhole
             pixels = np.rint(camera.project(points)).astype(int)
-        return cls(points.astype(np.float32), depth, camera, pixels, chosen, _doubts(camera) + warnings)
+        warnings = _doubts(camera) + _odd_mask(mask) + warnings
+        return cls(points.astype(np.float32), depth, camera, pixels, chosen, warnings)
 
     @property
     def depth_range(self) -> tuple[float, float]:
@@ -92,7 +109,7 @@ class Observation:
     def from_points(cls, points: Any, segment: Segmentation | None = None, drop_flying: bool = False) -> Self:
         """A cloud (N, 3) in metres, camera frame; rows that are not finite or all zero mean no measurement. Raises
         InputError for a wrong shape, millimetres, and for fewer than 50 points."""
-        cloud = _as_floats(points, "points")
+        cloud = _numbers(points, "points").astype(np.float64)
         if cloud.ndim != 2 or cloud.shape[1] != 3:
             raise InputError(f"points: expected shape (N, 3), got {cloud.shape}")
         cloud = cloud[np.isfinite(cloud).all(1) & cloud.any(1)]
@@ -106,32 +123,37 @@ class Observation:
         return cls(cloud[kept].astype(np.float32), warnings=warnings)
 
 
-def _as_floats(values: Any, name: str) -> np.ndarray:
+def _numbers(values: Any, name: str) -> np.ndarray:
+    """Integers or floats as they are."""
     try:
         array = as_numpy(values)
     except (TypeError, ValueError, RuntimeError) as error:  # ragged lists
         raise InputError(f"{name}: cannot be read as an array; pass NumPy numbers") from error
     if array.dtype.kind not in "iuf":
         raise InputError(f"{name}: dtype {array.dtype} is not numeric; pass floats in metres")
-    return array.astype(np.float64)
+    return array
 
 
 def _check_depth(depth_m: Any) -> np.ndarray:
-    """(H, W) float32 with every kind of missing measurement turned into 0."""
-    depth = _as_floats(depth_m, "depth")
-    if depth.ndim != 2:
-        raise InputError(f"depth: expected one channel of shape (H, W), got shape {depth.shape}")
-    depth = np.where(np.isfinite(depth) & (depth > 0), depth, 0.0)
-    if not depth.any():
+    """(H, W) float32, the caller's no longer, with every kind of missing measurement turned into 0."""
+    stored = _numbers(depth_m, "depth")
+    if stored.ndim != 2:
+        raise InputError(f"depth: expected one channel of shape (H, W), got shape {stored.shape}")
+    depth = np.fmax(stored.astype(np.float32, copy=False), 0)  # of NaN and 0, fmax takes 0
+    if (farthest := depth.max(initial=0)) == np.inf:
+        depth[depth == np.inf] = 0
+        farthest = depth.max()
+    if farthest == 0:
         raise NothingSeen("depth: no pixel holds a measurement (all are zero or NaN); check the camera and the file")
-    _check_metres(depth[depth > 0], "depth")
-    if as_numpy(depth_m).dtype.kind in "iu":
+    if farthest > FAR:
+        _check_metres(stored[depth > 0], "depth")
+    if stored.dtype.kind in "iu":
         raise InputError("depth: integers cannot be metres; multiply by the depth scale first (0.001 for millimetres)")
-    return depth.astype(np.float32)
+    return depth
 
 
 def _check_metres(distances: np.ndarray, name: str) -> None:
-    if (median := np.median(distances)) > FAR:
+    if (median := np.median(distances.astype(np.float64, copy=False))) > FAR:
         cure = "metres are expected; multiply by 0.001 (on the command line: --depth-scale 0.001)"
         raise InputError(f"{name}: median distance {median:.0f} looks like millimetres, {cure}")
 
@@ -144,7 +166,7 @@ def _check_camera(K: Any, shape: tuple[int, ...]) -> Camera:
         return K
     if K is None:
         raise InputError("intrinsics: none given; pass K as a 3x3 matrix or (fx, fy, cx, cy) in pixels")
-    values = _as_floats(K, "intrinsics")
+    values = _numbers(K, "intrinsics").astype(np.float64)
     values = Camera(width, height, *values).K if values.shape == (4,) else values
     if values.shape != (3, 3):
         raise InputError(f"intrinsics: expected a 3x3 matrix or (fx, fy, cx, cy), got shape {values.shape}")
@@ -153,15 +175,14 @@ def _check_camera(K: Any, shape: tuple[int, ...]) -> Camera:
     return Camera.from_K(values, width, height)
 
 
-def region_of(shape: tuple[int, ...], mask: Any, box: Sequence[float] | None) -> np.ndarray:
-    """(H, W) bool of mask and box together."""
+def region_of(shape: tuple[int, ...], mask: np.ndarray | None, box: Sequence[float] | None) -> np.ndarray:
+    """(H, W) bool of a mask (H, W) bool and box together."""
     height, width = shape
     region = np.ones(shape, dtype=bool)
     if mask is not None:
-        mask = as_numpy(mask)
         if mask.shape != shape:
             raise InputError(f"mask: shape {mask.shape} differs from the depth image's {shape}; resize it to that")
-        region &= mask != 0
+        region &= mask
     if box is not None:
         corners = np.asarray(box, dtype=np.float64).ravel()
         if corners.shape != (4,) or not np.isfinite(corners).all():
@@ -171,8 +192,9 @@ def region_of(shape: tuple[int, ...], mask: Any, box: Sequence[float] | None) ->
             raise InputError(f"box: x1 < x2 and y1 < y2 are needed, got {x1},{y1},{x2},{y2}")
         if x1 >= width or y1 >= height or x2 <= 0 or y2 <= 0:
             raise InputError(f"box: {x1},{y1},{x2},{y2} lies outside the {width}x{height} image")
-        rows, columns = np.ogrid[:height, :width]
-        region &= (x1 <= columns) & (columns < x2) & (y1 <= rows) & (rows < y2)
+        within = np.zeros(shape, dtype=bool)
+        within[max(y1, 0) : y2, max(x1, 0) : x2] = True
+        region &= within
     return region
 
 
@@ -182,6 +204,8 @@ def _select(
     """Indices of the object's points, and warnings; ``inside`` (N,) bool is where a segment may lie."""
     kept, warnings = np.arange(len(points)), ()
     if segment is not None:
+        from .segmentation import RIVAL, segment_on_plane  # imports SciPy, which takes long
+
         if segment != "plane":
             raise InputError(f"segment: unknown way {segment!r}; use 'plane', or give a mask or a box")
         found = segment_on_plane(points, inside)
@@ -201,9 +225,21 @@ def _select(
 def _flying(points: np.ndarray) -> np.ndarray:
     """(N,) bool, points much lonelier than the rest: mean neighbour distance over 3 robust deviations high. Distances
     are taken relative to the range, because the spacing of a camera's points grows with it."""
+    from scipy.spatial import KDTree  # slow to import
+
     distances = KDTree(points).query(points, NEIGHBOURS + 1)[0][:, 1:].mean(1) / np.linalg.norm(points, axis=1)
     median = np.median(distances)
     return distances > median + 3 * 1.4826 * np.median(np.abs(distances - median)) + median
+
+
+def _odd_mask(mask: np.ndarray | None) -> tuple[str, ...]:
+    """A mask of the background, or of a speck."""
+    share = 0.5 if mask is None else float(mask.mean())
+    if share > WHOLE:
+        return (f"the mask covers {share:.0%} of the image: does it show the object, and not all or the background?",)
+    if share < SPECK:
+        return (f"the mask covers {share:.2%} of the image, hardly anything: does it show the object?",)
+    return ()
 
 
 def _doubts(camera: Camera) -> tuple[str, ...]:

@@ -14,7 +14,7 @@ from omad.geometry.camera import Camera
 
 from .camera_files import CameraFile, parse_distortion, read_camera, read_transform
 from .colour_mask import ColourCamera
-from .depth_files import CLOUD_FORMATS, DEPTH_FORMATS, is_cloud, read_cloud, read_depth, read_mask
+from .depth_files import CLOUD_FORMATS, DEPTH_FORMATS, MASK_FORMATS, is_cloud, read_cloud, read_depth, read_mask
 from .input_options import FrameOptions, InputOptions
 from .observation import Observation
 
@@ -38,21 +38,26 @@ class InputReader:
     drop_flying: bool = False
     colour: ColourCamera | None = None
     """The camera that mask and box are drawn in the image of, where that is not the depth image."""
+    mask_id: int | None = None
+    """The object's number in masks that are label images."""
 
     @classmethod
     def of(cls, options: InputOptions, files: list[Path], frame: FrameOptions = NO_FRAME) -> Self:
-        """Read what holds for all inputs. Raises InputError where that is wrong whatever the input."""
-        if options.intrinsics is None and not any(is_cloud(file) for file in files):
+        """Read what holds for all inputs. Raises InputError where that is wrong whatever the input, and where all of
+        ``files`` need intrinsics and there are none."""
+        if options.intrinsics is None and files and not any(is_cloud(file) for file in files):
             _existing(files[0])
             raise InputError(f"{files[0]}: {NEED_INTRINSICS}")
         mask, box = options.mask, options.box
         camera = None if options.intrinsics is None else read_camera(options.intrinsics)
         if frame.distortion is not None and camera is not None:
             camera = replace(camera, distortion=parse_distortion(frame.distortion))
-        masks = mask if mask is None or mask.is_dir() else read_mask(mask)
+        masks = mask if mask is None or mask.is_dir() else read_mask(mask, options.mask_id)
         corners = None if box is None else parse_numbers(box, 4, "--box")
         colour = _colour_camera(frame, mask is not None or box is not None)
-        return cls(camera, masks, corners, options.segment, options.depth_scale, frame.drop_flying, colour)
+        return cls(
+            camera, masks, corners, options.segment, options.depth_scale, frame.drop_flying, colour, options.mask_id
+        )
 
     def __call__(self, file: Path) -> Observation:
         """One input. Raises InputError with its name."""
@@ -68,23 +73,36 @@ class InputReader:
         return Observation.from_points(read_cloud(file) * (self.depth_scale or 1.0), self.segment, self.drop_flying)
 
     def _depth(self, file: Path) -> Observation:
-        depth, camera = read_depth(file, self.depth_scale), self.camera
+        mask = self.mask
+        if isinstance(mask, Path):
+            mask = read_mask(_mask_of(file, mask), self.mask_id)
+        return self.observe(read_depth(file, self.depth_scale), mask)
+
+    def observe(self, depth: np.ndarray, mask: np.ndarray | None, camera: CameraFile | None = None) -> Observation:
+        """A depth image (H, W) in metres that was read already, with its mask; ``camera``: its own, in place of that of
+        all. Raises InputError."""
+        camera, box = camera or self.camera, self.box
         if camera is None:
             raise InputError(NEED_INTRINSICS)
         height, width = depth.shape
         if camera.size not in (None, (width, height)):
             told = "x".join(map(str, camera.size)) + "; give those of the depth stream at this size"
             raise InputError(f"is {width}x{height}, but its --intrinsics are for {told}")
-        mask, box = self.mask, self.box
-        if isinstance(mask, Path):  # a folder: that with the input's name, whatever its extension
-            masks = sorted(each for each in mask.iterdir() if each.stem == file.stem)
-            if not masks:
-                raise InputError(f"{mask}: no mask for {file} in it; name masks like the inputs")
-            mask = read_mask(masks[0])
         whole = Camera.from_K(camera.K, width, height, camera.distortion)
         if self.colour is not None:
             mask, box = self.colour.depth_mask(depth, whole, mask, box), None
         return Observation.from_depth(depth, whole, mask, box, self.segment, self.drop_flying)
+
+
+def _mask_of(file: Path, folder: Path) -> Path:
+    """That with the input's name, whatever its extension."""
+    for suffix in MASK_FORMATS:  # quicker than to list the folder, where it holds a million
+        if (mask := folder / (file.stem + suffix)).is_file():
+            return mask
+    masks = sorted(each for each in folder.iterdir() if each.stem == file.stem)
+    if not masks:
+        raise InputError(f"{folder}: no mask for {file} in it; name masks like the inputs")
+    return masks[0]
 
 
 def _colour_camera(frame: FrameOptions, region: bool) -> ColourCamera | None:

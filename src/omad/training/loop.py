@@ -16,7 +16,7 @@ from tqdm import tqdm
 
 from omad.common.errors import InputError, WorkError
 from omad.common.files import make_folder, write_atomic
-from omad.data.training_views import SurfaceBank
+from omad.data.surface_bank import SurfaceBank
 from omad.model.checkpoint import Network
 from omad.objects.category import Category
 from omad.objects.model import SampledObject

@@ -5,7 +5,7 @@ from functools import partial
 
 import torch
 from torch import Tensor
-from torch.nn.functional import smooth_l1_loss
+from torch.nn.functional import cross_entropy, smooth_l1_loss
 
 from omad.geometry.transforms import point_to_line
 from omad.model.priornet import part_extents
@@ -76,3 +76,11 @@ def confidence_loss(distance: Tensor, log_sigma: Tensor) -> Tensor:
     """Negative log-likelihood of keypoint distances (B, M) under an isotropic 3-D Gaussian of spread exp(log_sigma).
     The distance is taken as given, so that confidence is learned without loosening the keypoints."""
     return (3 * log_sigma + 0.5 * distance.detach().square() * (-2 * log_sigma).exp()).mean()
+
+
+def segmentation_loss(logits: Tensor, labels: Tensor, parts: int, outside: float) -> Tensor:
+    """Cross-entropy of part logits (B, N, K) and labels (B, N), where points that are not on the object, labelled with
+    the number of ``parts``, count ``outside`` times."""
+    weight = torch.ones(logits.shape[-1], dtype=logits.dtype, device=logits.device)
+    weight[parts:] = outside
+    return cross_entropy(logits.flatten(0, 1), labels.flatten(), weight)

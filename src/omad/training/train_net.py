@@ -6,7 +6,6 @@ from pathlib import Path
 
 import torch
 from torch import Tensor
-from torch.nn.functional import cross_entropy
 
 from omad.common.errors import InputError
 from omad.data.training_views import ViewBatch, ViewSettings, draw_views
@@ -23,7 +22,7 @@ from omad.objects.category import Category
 from omad.objects.model import SampledObject
 
 from .loop import Schedule, Training, seeded_bank, train_network
-from .losses import confidence_loss, joint_loss, quaternion_loss, state_loss
+from .losses import confidence_loss, joint_loss, quaternion_loss, segmentation_loss, state_loss
 from .refined_error import axis_distance, refined_error, refinement_loss
 
 
@@ -42,6 +41,9 @@ class NetLossWeights:
     beta: float = 0.01
     confidence: float = 0.1
     refinement: float = 0.0
+    outside: float = 3.0
+    """How many times a point that is not on the object counts in ``segmentation``: one that is dropped in vain does
+    little harm, one that stays does much."""
 
 
 @dataclass(frozen=True)
@@ -119,7 +121,7 @@ def net_losses(
     terms = {
         "keypoints": distance.mean(),
         "confidence": confidence_loss(distance, out.log_sigma),
-        "segmentation": cross_entropy(out.part_logits.flatten(0, 1), views.labels.flatten()),
+        "segmentation": segmentation_loss(out.part_logits, views.labels, len(net.category.parts), weights.outside),
         "base": rotation + 0.5 * translation,
         "states": state_loss(out.states, views.states, prior.turning),
         "shape": (prior.keypoints(out.beta) - truth.canonical).norm(dim=-1).mean(),
@@ -152,7 +154,8 @@ def train_net(
     bank = seeded_bank(models, category, settings.schedule.seed, device)
     priornet = priornet.to(device).requires_grad_(False)
     nodes = object_keypoints(priornet, bank)
-    net = OmadNet(category, priornet.prior, settings.backbone, settings.attention).to(device)
+    tells_outside = settings.views.clutter is not None or (initial is not None and initial.tells_outside)
+    net = OmadNet(category, priornet.prior, settings.backbone, settings.attention, tells_outside).to(device)
     prior = priornet.prior
     if initial is not None:
         theirs = initial.prior.basis.to(prior.basis)
@@ -160,7 +163,7 @@ def train_net(
             raise InputError(
                 "the network to fine-tune belongs to another prior; give --prior the prior it was trained with"
             )
-        net.load_state_dict(initial.state_dict())
+        net.start_from(initial)
     if features is not None:
         net.backbone.load_state_dict(features.backbone.state_dict())
     shape_prior = ShapePrior.of(prior.beta_mean, prior.beta_covariance, RefinementConfig().prior_weight)

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from omad.data.rendering.viewpoints import uniform
-from omad.data.training_views import SurfaceBank
+from omad.data.surface_bank import SurfaceBank
 from omad.model.object_prior import object_keypoints
 from omad.model.prior import OmadPrior
 from omad.model.priornet import PriorNet, part_extents

@@ -10,7 +10,7 @@ import torch
 
 from omad.common.arrays import as_doubles
 from omad.common.errors import InputError
-from omad.data.training_views import SurfaceBank
+from omad.data.surface_bank import SurfaceBank
 from omad.estimation.estimate import Estimate
 from omad.model.object_prior import object_keypoints
 from omad.model.prior import OmadPrior

@@ -187,7 +187,7 @@ class Tracker:
             self._track = None
             return TrackedEstimate(track.now, "lost", None, single, surprise)
         said = ("predicted: this frame was not used",)
-        unseen = replace(self._answer(track), part_labels=np.zeros(0, dtype=int), warnings=said)
+        unseen = replace(self._answer(track).without_labels(), warnings=said)
         return TrackedEstimate(track.now, "coasting", unseen, single, surprise)
 
     def _challenge(self, track: _Track, warm: Estimate, cold: Estimate, believed: bool) -> tuple[Estimate, bool]:

@@ -7,6 +7,7 @@ a number keep it as their id, and belong to the split of that id; all others are
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,7 @@ from omad.objects.urdf import urdf_numbers, xml_text
 
 from ..rendering.depth_noise import NoiseLevel
 from ..rendering.standard_views import View, ViewSeed, view_seed
-from ..rendering.view_folder import draw_missing, refuse_others, write_depth, write_png
+from ..rendering.view_folder import draw_missing, make_standard, refuse_others, write_depth, write_png
 from .layout import AGAIN, SPLITS, Layout, Split, depth_step, peculiarities, require_flat_tree
 
 FIRST_ID = {"train": 1_000_000, "test": 2_000_000}
@@ -71,7 +72,8 @@ def write_artimage(
         _write_object(layout, name, model, category)
     _write_rest_states(layout, category)
     writer = _ViewWriter(layout, tuple(models), tuple(ids), category)
-    draw_missing(models, category, views, seed, noise, writer.file_of, writer, processes, progress)
+    make = partial(make_standard, tuple(models), category, noise, writer.file_of, writer)
+    draw_missing(make, writer.file_of, len(models), views, seed, processes, progress)
     drawn = [view_seed(index, len(ids), seed) for index in range(views)]
     for chosen in SPLITS:
         if chosen in written or not layout.valid(chosen).exists():

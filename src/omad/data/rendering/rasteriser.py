@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 from itertools import pairwise
 
-import numba
 import numpy as np
 
+from omad.common.compiled import jit
 from omad.geometry.camera import Camera
 from omad.geometry.mesh import merge_meshes
 from omad.objects.model import ObjectModel
@@ -60,7 +60,7 @@ def rasterise(vertices: np.ndarray, faces: np.ndarray, labels: np.ndarray, camer
     return rendering
 
 
-@numba.njit(cache=True, error_model="numpy")
+@jit
 def _plane(vertices, faces, f):
     """Unnormalised normal of face ``f`` and the plane's n . p."""
     a, b, c = vertices[faces[f, 0]], vertices[faces[f, 1]], vertices[faces[f, 2]]
@@ -70,7 +70,7 @@ def _plane(vertices, faces, f):
     return nx, ny, nz, nx * a[0] + ny * a[1] + nz * a[2]
 
 
-@numba.njit(cache=True, error_model="numpy")
+@jit
 def _fill(vertices, pixels, faces, fx, fy, cx, cy, inverse, nearest):
     """Nearest face of every pixel and its 1/z. On a plane n . p = d, 1/z = n . ray / d is linear in the image."""
     height, width = inverse.shape
@@ -110,7 +110,7 @@ def _fill(vertices, pixels, faces, fx, fy, cx, cy, inverse, nearest):
                     nearest[row, column] = f
 
 
-@numba.njit(cache=True, error_model="numpy")
+@jit
 def _shade(vertices, faces, labels, fx, fy, cx, cy, inverse, nearest, depth, part, cos_view):
     """Depth, label and |cos| of the viewing angle of every pixel that a face covers."""
     for row in range(inverse.shape[0]):

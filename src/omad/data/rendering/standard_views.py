@@ -10,12 +10,12 @@ import torch
 from omad.common.errors import InputError
 from omad.geometry.camera import STANDARD_CAMERA, Camera
 from omad.geometry.rigid import bounding_sphere
-from omad.objects.category import Category
+from omad.objects.category import Category, ViewRange
 from omad.objects.model import ObjectModel, diagonal
 from omad.sensing.observation import Observation
 
 from .depth_noise import NoiseLevel, add_noise
-from .rasteriser import NOTHING, render
+from .rasteriser import NOTHING, Rendering, render
 from .viewpoints import sample_poses, sample_states
 
 MIN_PIXELS = 500
@@ -66,6 +66,8 @@ class View:
     """(4, 4)."""
     seed: tuple[int, ...]
     """What the view was drawn with: a ``ViewSeed`` in ``standard_views``."""
+    mask: np.ndarray | None = None
+    """(H, W) bool, what is given out as the object, rightly or not; None: all that is measured."""
 
     @property
     def object(self) -> str:
@@ -74,7 +76,7 @@ class View:
 
     def observation(self) -> Observation:
         """What an estimator is shown. Raises InputError where noise or occlusion left too little of the object."""
-        return Observation.from_depth(self.depth, self.camera)
+        return Observation.from_depth(self.depth, self.camera, self.mask)
 
     def observed(self) -> Observation | None:
         """``observation``; None where too little of the object is left to be seen."""
@@ -90,26 +92,60 @@ def observe_all(views: Iterable[View]) -> dict[int, Observation]:
     return {index: observation for index, observation in found if observation is not None}
 
 
-def standard_view(model: ObjectModel, category: Category, seed: Sequence[int], noise: NoiseLevel | None = None) -> View:
-    """A random view of ``model``, the same for the same ``seed`` (any non-negative integers). The noise changes the
-    depth only: joint states and pose are those of the noise-free view of the same seed. Raises InputError for an object
-    that is too thin or too small to be seen."""
-    rng = np.random.default_rng(list(seed))
-    generator = torch.Generator().manual_seed(int(rng.integers(2**62)))
+@dataclass(frozen=True)
+class Drawn:
+    """A random view of an object, before any noise."""
+
+    states: np.ndarray
+    """(J,) radians or metres."""
+    T_camera_base: np.ndarray
+    """(4, 4)."""
+    rendering: Rendering
+
+
+def draw(
+    model: ObjectModel, views: ViewRange, generator: torch.Generator, camera: Camera = STANDARD_CAMERA,
+    at_states: np.ndarray | None = None,
+) -> Drawn:  # fmt: skip
+    """``model`` at joint states ``at_states`` (J,), or random ones, seen from a random viewpoint. Raises InputError for
+    an object that is too thin or too small to be seen."""
     limits = torch.as_tensor(model.limits, dtype=torch.float64)[None]
     for _ in range(ATTEMPTS):
-        states = sample_states(limits, generator)[0].numpy()
+        states = sample_states(limits, generator)[0].numpy() if at_states is None else at_states
         centre, radius = bounding_sphere(np.concatenate(model.posed_vertices(states)))
         sphere = torch.as_tensor(centre)[None], torch.tensor([radius], dtype=torch.float64)
-        T_camera_base = sample_poses(category.views, *sphere, generator)[0].numpy()
-        rendering = render(model, states, T_camera_base, STANDARD_CAMERA)
+        T_camera_base = sample_poses(views, *sphere, generator, camera)[0].numpy()
+        rendering = render(model, states, T_camera_base, camera)
         if np.count_nonzero(rendering.depth) >= MIN_PIXELS:
-            break
-    else:
-        raise InputError(f"{model.name}: none of {ATTEMPTS} views shows {MIN_PIXELS} pixels of it; leave it out")
+            return Drawn(states, T_camera_base, rendering)
+    raise InputError(f"{model.name}: none of {ATTEMPTS} views shows {MIN_PIXELS} pixels of it; leave it out")
+
+
+def standard_view(
+    model: ObjectModel, category: Category, seed: Sequence[int], noise: NoiseLevel | None = None,
+    states: np.ndarray | None = None,
+) -> View:  # fmt: skip
+    """A random view of ``model``, the same for the same ``seed`` (any non-negative integers), of random joint states or
+    of ``states`` (J,). The noise changes the depth only: joint states and pose are those of the noise-free view of the
+    same seed. Raises InputError for an object that is too thin or too small to be seen."""
+    rng = np.random.default_rng(list(seed))
+    generator = torch.Generator().manual_seed(int(rng.integers(2**62)))
+    drawn = draw(model, category.views, generator, at_states=states)
+    rendering = drawn.rendering
     depth = add_noise(rendering.depth, noise, STANDARD_CAMERA, rng, rendering.cos_view)
     labels = np.where(depth > 0, rendering.labels, np.uint8(NOTHING))
-    return View(ObjectTruth.of(model), depth, labels, STANDARD_CAMERA, states, T_camera_base, tuple(seed))
+    return View(ObjectTruth.of(model), depth, labels, STANDARD_CAMERA, drawn.states, drawn.T_camera_base, tuple(seed))
+
+
+def views_together(
+    model: ObjectModel, category: Category, seed: Sequence[int], count: int, noise: NoiseLevel | None = None
+) -> list[View]:
+    """``model`` at one moment from ``count`` random viewpoints. All share a world frame, the object's base: a view's
+    T_world_camera is the inverse of its T_camera_base."""
+    views = [standard_view(model, category, (*seed, 0), noise)]
+    for number in range(1, count):
+        views.append(standard_view(model, category, (*seed, number), noise, views[0].states))
+    return views
 
 
 def view_seed(index: int, objects: int, seed: int) -> ViewSeed:

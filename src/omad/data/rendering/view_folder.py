@@ -1,10 +1,17 @@
 """Standard views on disk: rendered once, read by anyone.
 
     <folder>/dataset.json              category, camera, depth_scale (metres per stored integer), seed, noise, views
+                                       (and clutter: true, see below)
     <folder>/<object>/object.json      axes, pivots, limits, part_boxes (``standard_views.ObjectTruth``)
     <folder>/<object>/00000.json       states, T_camera_base, seed; written last, so it marks a whole view
     <folder>/<object>/00000.depth.png  16 bit, 0 = no measurement
     <folder>/<object>/00000.labels.png 8 bit part index, 255 = nothing
+
+With clutter the views are of scenes as cameras see them (``spoils``); what is wrong with each, its ``spoil`` says:
+
+    <folder>/<object>/00000.json           also camera, which differs from view to view, and spoil
+    <folder>/<object>/00000.mask.png       255 where the object is said to be, rightly or not
+    <folder>/<object>/00000.instances.png  0 table or wall, 1 the object, from 2 other things, 255 = nothing
 
 Every file depends on the arguments alone: not on the number of processes, nor on interruptions.
 """
@@ -30,6 +37,7 @@ from omad.objects.model import ObjectModel
 from omad.sensing.depth_files import read_depth, read_image
 
 from .depth_noise import NoiseLevel
+from .spoils.spoiling import cluttered
 from .standard_views import ObjectTruth, View, ViewSeed, standard_view, view_seed
 
 FORMAT = "omad-views-1"
@@ -50,6 +58,7 @@ class ViewFolder:
     noise: NoiseLevel | None
     objects: tuple[str, ...]
     views: int
+    clutter: bool = False
 
     def __len__(self) -> int:
         return self.views
@@ -65,10 +74,14 @@ class ViewFolder:
         record = _read_json(stem.with_suffix(".json"), "states", "T_camera_base", "seed")
         depth = read_depth(stem.with_suffix(".depth.png"), self.depth_scale)
         labels = read_image(stem.with_suffix(".labels.png"))
-        if depth.shape != labels.shape or depth.shape != (self.camera.height, self.camera.width):
+        camera = Camera(**record["camera"]) if "camera" in record else self.camera
+        mask_file = stem.with_suffix(".mask.png")
+        mask = read_image(mask_file) > 0 if mask_file.exists() else None
+        images = [depth, labels] if mask is None else [depth, labels, mask]
+        if any(image.shape != (camera.height, camera.width) for image in images):
             raise InputError(f"{stem}: image sizes do not fit the camera; delete {stem}.json and render again")
         states, pose = np.array(record["states"]), np.array(record["T_camera_base"])
-        return View(truth, depth, labels, self.camera, states, pose, tuple(record["seed"]))
+        return View(truth, depth, labels, camera, states, pose, tuple(record["seed"]), mask)
 
 
 def is_view_folder(folder: str | Path) -> bool:
@@ -79,7 +92,7 @@ def is_view_folder(folder: str | Path) -> bool:
 def open_views(folder: str | Path) -> ViewFolder:
     """A folder that ``render_to_folder`` made. Raises InputError where it is none, or is not finished."""
     path = Path(folder)
-    kept = [field.name for field in fields(ViewFolder) if field.name != "path"]
+    kept = [field.name for field in fields(ViewFolder) if field.name not in ("path", "clutter")]
     record = _read_json(path / "dataset.json", "format", *kept, "finished")
     if record["format"] != FORMAT:
         raise InputError(f"{path}: format {record['format']!r} is not {FORMAT}; render it again")
@@ -87,6 +100,7 @@ def open_views(folder: str | Path) -> ViewFolder:
         raise InputError(f"{path}: rendering was interrupted; give the same render command again to finish it")
     noise = NoiseLevel(**record["noise"]) if record["noise"] else None
     made = {"camera": Camera(**record["camera"]), "noise": noise, "objects": tuple(record["objects"])}
+    made["clutter"] = record.get("clutter", False)
     return ViewFolder(path, **{key: record[key] for key in kept} | made)
 
 
@@ -99,9 +113,11 @@ def render_to_folder(
     noise: NoiseLevel | None = None,
     processes: int = 1,
     progress: bool = False,
+    clutter: bool = False,
 ) -> ViewFolder:
-    """Write ``views`` standard views of the models; what is already there from the same arguments is kept. Raises
-    InputError for a folder made with other arguments (only ``views`` may differ) and for unfit model names."""
+    """Write ``views`` standard views of the models, or with ``clutter`` scenes spoilt at random, which have their own
+    noise; what is already there from the same arguments is kept. Raises InputError for a folder made with other
+    arguments (only ``views`` may differ) and for unfit model names."""
     path = Path(folder)
     names = [model.name for model in models]
     if not names or len(set(names)) < len(names):
@@ -109,21 +125,25 @@ def render_to_folder(
     if any(Path(name).name != name for name in names):
         raise InputError(f"{path}: an object's name becomes a folder's name; rename one of {names}")
     scale, dataset = _depth_scale(category), path / "dataset.json"
-    camera = {key: value for key, value in vars(STANDARD_CAMERA).items() if value is not None}
+    camera = _camera_record(STANDARD_CAMERA)
     record = {"format": FORMAT, "category": category.name, "camera": camera, "depth_scale": scale, "seed": seed}
     record |= {"noise": asdict(noise) if noise else None, "objects": names}
     truths = {path / model.name / "object.json": _truth_record(model) for model in models}
     if dataset.exists():  # views of other settings or other models are not mixed
-        refuse_others(path, _read_json(dataset), record)
+        refuse_others(path, {"clutter": False, **_read_json(dataset)}, record | {"clutter": clutter})
         for file, truth in truths.items():
             if file.exists() and _read_json(file) != truth:
                 raise InputError(f"{path}: already holds another object {truth['name']}; choose another folder")
+    record |= {"clutter": True} if clutter else {}
     write_json(dataset, {**record, "views": views, "finished": False})
     for file, truth in truths.items():
         write_json(file, truth)
 
-    file_of, write = partial(_view_file, path, names), partial(_write_view, scale)
-    draw_missing(models, category, views, seed, noise, file_of, write, processes, progress)
+    file_of = partial(_view_file, path, names)
+    make = partial(make_standard, tuple(models), category, noise, file_of, partial(_write_view, scale))
+    if clutter:
+        make = partial(_make_cluttered, tuple(models), category, file_of, scale)
+    draw_missing(make, file_of, len(models), views, seed, processes, progress)
     write_json(dataset, {**record, "views": views, "finished": True})
     return open_views(path)
 
@@ -132,36 +152,62 @@ def _view_file(folder: Path, names: Sequence[str], seed: ViewSeed) -> Path:
     return folder / names[seed[1]] / f"{seed[2]:05d}.json"
 
 
-def _write_view(depth_scale: float, view: View, file: Path) -> None:
+def _write_view(depth_scale: float, view: View, file: Path, **more: Any) -> None:
+    """``more`` goes into the record."""
     write_depth(file.with_suffix(".depth.png"), view.depth, depth_scale)
     write_png(file.with_suffix(".labels.png"), view.labels)
-    write_json(file, {"states": view.states.tolist(), "T_camera_base": view.T_camera_base.tolist(), "seed": view.seed})
+    pose = {"states": view.states.tolist(), "T_camera_base": view.T_camera_base.tolist()}
+    write_json(file, {**pose, "seed": view.seed, **more})
 
 
-def draw_missing(
+def make_standard(
     models: Sequence[ObjectModel],
     category: Category,
-    views: int,
-    seed: int,
     noise: NoiseLevel | None,
     file_of: Callable[[ViewSeed], Path],
     write: Callable[[View, Path], None],
+    seed: ViewSeed,
+) -> None:
+    """Draw a standard view and ``write`` it."""
+    write(standard_view(models[seed[1]], category, seed, noise), file_of(seed))
+
+
+def _make_cluttered(
+    models: Sequence[ObjectModel],
+    category: Category,
+    file_of: Callable[[ViewSeed], Path],
+    depth_scale: float,
+    seed: ViewSeed,
+) -> None:
+    spoil, made = cluttered(models[seed[1]], category, seed)
+    file, view = file_of(seed), made.view
+    if view.mask is not None:
+        write_png(file.with_suffix(".mask.png"), view.mask.astype(np.uint8) * 255)
+    write_png(file.with_suffix(".instances.png"), made.instances)
+    _write_view(depth_scale, view, file, camera=_camera_record(view.camera), spoil=asdict(spoil))
+
+
+def _camera_record(camera: Camera) -> dict[str, Any]:
+    return {key: value for key, value in vars(camera).items() if value is not None}
+
+
+def draw_missing(
+    make: Callable[[ViewSeed], None],
+    file_of: Callable[[ViewSeed], Path],
+    objects: int,
+    views: int,
+    seed: int,
     processes: int = 1,
     progress: bool = False,
 ) -> None:
-    """Draw those of ``views`` standard views, dealt out to the models in turn, that are not there yet. ``write`` stores
-    a view; the file that it writes last is ``file_of`` its seed: where that exists, the view is whole. Both are sent to
-    the processes that help."""
-    draw = partial(_draw, tuple(models), category, noise, file_of, write)
-    seeds = [view_seed(index, len(models), seed) for index in range(views)]
+    """``make`` those of ``views`` views, dealt out to the objects in turn, that are not there yet. The file that it
+    writes last is ``file_of`` the view's seed: where that exists, the view is whole. It is sent to the processes that
+    help."""
+    seeds = [view_seed(index, objects, seed) for index in range(views)]
     missing = [drawn for drawn in seeds if not file_of(drawn).exists()]
     with tqdm(total=views, initial=views - len(missing), desc="views", disable=not progress) as bar:
-        for _ in _run(draw, missing, processes):
+        for _ in _run(make, missing, processes):
             bar.update()
-
-
-def _draw(models: Sequence[ObjectModel], category: Category, noise, file_of, write, seed: ViewSeed) -> None:
-    write(standard_view(models[seed[1]], category, seed, noise), file_of(seed))
 
 
 _drawing: Callable[[ViewSeed], None]

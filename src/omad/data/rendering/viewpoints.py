@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from omad.geometry.camera import STANDARD_CAMERA
+from omad.geometry.camera import STANDARD_CAMERA, Camera
 from omad.geometry.rigid import rigid
 from omad.geometry.transforms import axis_angle_to_matrix, make_transform
 from omad.objects.category import ViewRange
@@ -43,9 +43,16 @@ def pose_before(distance: float, azimuth: float, elevation: float, centre: np.nd
     return rigid(rotation, [0.0, 0.0, distance] - rotation @ centre)
 
 
-def sample_poses(views: ViewRange, centre: Tensor, radius: Tensor, generator: torch.Generator | None = None) -> Tensor:
+def sample_poses(
+    views: ViewRange,
+    centre: Tensor,
+    radius: Tensor,
+    generator: torch.Generator | None = None,
+    camera: Camera = STANDARD_CAMERA,
+    span: tuple[float, float] = SPAN,
+) -> Tensor:
     """Random T_camera_base (B, 4, 4) of standard views. ``centre`` (B, 3) and ``radius`` (B,) are the posed object's
-    bounding sphere in the base frame, metres."""
+    bounding sphere in the base frame, metres; ``span`` is the share of the image height that it covers."""
 
     def drawn(low: float, high: float) -> Tensor:
         return uniform(low, high, tuple(radius.shape), radius, generator)
@@ -53,8 +60,7 @@ def sample_poses(views: ViewRange, centre: Tensor, radius: Tensor, generator: to
     azimuth = drawn(-views.azimuth, views.azimuth)
     elevation = drawn(*views.elevation).clamp(max=math.pi / 2 - 1e-3)  # straight down, "up" would be undefined
     rotation = look_at(azimuth, elevation, drawn(-views.roll, views.roll))
-    camera = STANDARD_CAMERA
-    distance = radius * (1 + (2 * camera.fy / (drawn(*SPAN) * camera.height)) ** 2).sqrt()
+    distance = radius * (1 + (2 * camera.fy / (drawn(*span) * camera.height)) ** 2).sqrt()
     sizes = (camera.width, camera.fx), (camera.height, camera.fy)
     shift = [drawn(-OFF_CENTRE, OFF_CENTRE) * size / focal * distance for size, focal in sizes]
     return make_transform(rotation, torch.stack([*shift, distance], -1) - (rotation @ centre[..., None]).squeeze(-1))

@@ -104,8 +104,6 @@ def adam_refinement(refiner: Refiner, targets: Targets, initial: State) -> Refin
     with torch.enable_grad():
         found = refine_with_adam(prior, targets, initial)
     size = 6 + initial.joint_states.shape[1] + initial.beta.shape[1]
-    unknown = torch.full((len(found.energy), size, size), torch.nan, dtype=torch.float64)
+    unknown = torch.full((len(found.energy), size, size), torch.nan).to(found.energy)
     keypoints = prior.deform(found.state.beta, found.state.joint_states, found.state.T_camera_base)
-    squared = (keypoints - targets.keypoints).square().sum(-1)
-    every = torch.eye(size, dtype=torch.float64)
-    return Refined(found.state, unknown, every, found.converged, found.steps, targets.weights, squared)
+    return Refined.of(found.state, keypoints, targets, unknown, found.converged, found.steps)

@@ -1,4 +1,4 @@
-"""PointNet++ (Qi et al. 2017) in plain PyTorch, channels last.
+"""PointNet++ (Qi et al. 2017), channels last.
 
 Points come in random order, so the first n of them are a random subset: they serve as centres
 without a sampling step, the same on every device. Groups are the k nearest neighbours of a
@@ -7,25 +7,20 @@ centre, optionally within a radius as in the paper's ball query.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import torch
 from torch import Tensor, nn
 
 from .interface import Backbone, BackboneConfig, Features
+from .point_ops import interpolate, nearest, pooled_groups
 
 
-def gather(values: Tensor, index: Tensor) -> Tensor:
-    """Rows of ``values`` (B, N, C) at ``index`` (B, ...) -> (B, ..., C)."""
-    flat = index.flatten(1)[..., None].expand(-1, -1, values.shape[-1])
-    return values.gather(1, flat).reshape(*index.shape, values.shape[-1])
-
-
-def nearest(queries: Tensor, points: Tensor, k: int) -> tuple[Tensor, Tensor]:
-    """Squared distances and indices (B, Q, k) of the k nearest ``points`` (B, N, 3) to ``queries`` (B, Q, 3)."""
-    distance = queries.square().sum(-1, keepdim=True) - 2 * queries @ points.mT + points.square().sum(-1)[:, None]
-    squared, index = distance.topk(k, largest=False, sorted=False)
-    return squared.clamp(min=0), index
+def identity(features: Tensor) -> Tensor:
+    """The same."""
+    return features
 
 
 class Residual(nn.Module):
@@ -55,19 +50,18 @@ class SetAbstraction(nn.Module):
     def forward(self, points: Tensor, features: Tensor | None, centres: int) -> Tensor:
         """points (B, N, 3), features (B, N, C) -> (B, centres, width) at the first ``centres`` points."""
         centre = points[:, :centres]
-        with torch.no_grad():
-            squared, index = nearest(centre, points, self.neighbours)
-            if self.radius is not None:
-                own = torch.arange(centres, device=points.device)[None, :, None]
-                index = torch.where(squared < self.radius**2, index, own)
+        squared, index = nearest(centre, points, self.neighbours)
+        if self.radius is not None:
+            own = torch.arange(centres, dtype=index.dtype, device=points.device)[None, :, None]
+            index = torch.where(squared < self.radius**2, index, own)
         joint = points / self.scale if features is None else torch.cat([points / self.scale, features], -1)
-        grouped = gather(self.point_layer(joint), index) - self.centre_layer(centre / self.scale)[:, :, None]
-        grouped = self.group_layer(grouped.relu()).amax(2)
+        values, offsets = self.point_layer(joint), self.centre_layer(centre / self.scale)
+        grouped = pooled_groups(values, offsets, index, self.group_layer.weight, self.group_layer.bias)
         return self.residual(grouped)
 
 
 class Fuse(nn.Module):
-    """Coarse features, carried to the fine points, joined with theirs."""
+    """Coarse features joined with those of the fine points."""
 
     def __init__(self, coarse: int, fine: int, width: int) -> None:
         super().__init__()
@@ -75,18 +69,10 @@ class Fuse(nn.Module):
         self.fine_layer = nn.Linear(fine, width, bias=False)
         self.residual = Residual(width)
 
-    def forward(self, coarse: Tensor, fine: Tensor) -> Tensor:
-        """(B, N or 1, coarse), (B, N, fine) -> (B, N, width)."""
-        return self.residual((self.coarse_layer(coarse) + self.fine_layer(fine)).relu())
-
-
-def interpolate(queries: Tensor, points: Tensor, values: Tensor) -> Tensor:
-    """Values (B, n, C) at ``points`` carried to ``queries`` (B, N, 3) by inverse squared distance -> (B, N, C)."""
-    with torch.no_grad():
-        squared, index = nearest(queries, points, 3)
-        weight = 1 / (squared + 1e-6)
-        weight = weight / weight.sum(-1, keepdim=True)
-    return (gather(values, index) * weight[..., None]).sum(2)
+    def forward(self, coarse: Tensor, fine: Tensor, carry: Callable[[Tensor], Tensor] = identity) -> Tensor:
+        """(B, n, coarse), (B, N, fine) -> (B, N, width). ``carry`` brings features of n coarse points to N fine ones;
+        linear as it is, it may follow the layer, which has less to do before. Without it n is N or 1."""
+        return self.residual((carry(self.coarse_layer(coarse)) + self.fine_layer(fine)).relu())
 
 
 @dataclass(frozen=True)
@@ -133,5 +119,5 @@ class PointNet2(Backbone):
         features2 = self.abstraction2(points1, features1, n2)
         pooled = self.global_residual(self.global_layers(torch.cat([features2, points2], -1)).amax(1))
         features2 = self.fuse2(pooled[:, None], features2)
-        dense = self.fuse1(interpolate(points1, points2, features2), features1)
+        dense = self.fuse1(features2, features1, partial(interpolate, points1, points2))
         return Features(centres=points1, dense=self.dense_residual(dense), pooled=pooled)

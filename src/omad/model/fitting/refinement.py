@@ -14,13 +14,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from omad.common.arrays import as_doubles
 from omad.common.errors import InputError
 from omad.geometry.least_squares import Huber, Linearisation, minimise
 from omad.geometry.transforms import fit_transform
 
 from ..prior import OmadPrior
 from .energy import RefinementConfig, ShapePrior, linearise
-from .state import Refined, State, Targets
+from .state import Refined, State, Targets, covariance_of
 
 DEFAULT_CONFIG = RefinementConfig()
 
@@ -55,6 +56,7 @@ class PlainSolver:
     free: Tensor
     """(P, F) directions that the solution may move along."""
     config: RefinementConfig
+    shape_prior: ShapePrior
 
     def fitted_poses(self, targets: Targets, state: State) -> Tensor:
         """(B, 4, 4) of the base where the keypoints are nearest to the targets."""
@@ -62,7 +64,7 @@ class PlainSolver:
         keypoints = self.prior.deform(state.beta, state.joint_states, at_origin)
         return fit_transform(keypoints, targets.keypoints, targets.weights)
 
-    def __call__(self, targets: Targets, initial: State, limits: Tensor, shape_prior: ShapePrior) -> Refined:
+    def __call__(self, targets: Targets, initial: State, limits: Tensor) -> Refined:
         """From ``initial``; ``limits`` (B, J, 2)."""
         prior, config, joints = self.prior, self.config, self.prior.tree.num_joints
         free = self.free.to(targets.keypoints)
@@ -70,7 +72,7 @@ class PlainSolver:
 
         def at(x: Tensor, index: Tensor) -> Linearisation:
             own = Targets(seen[index], targets.weights[index])
-            found = linearise(prior, State.unpack(x, joints), own, shape_prior, limits[index], config.limit_sigma)
+            found = linearise(prior, State.unpack(x, joints), own, self.shape_prior, limits[index], config.limit_sigma)
             return Linearisation(found.residuals, found.jacobian @ free)
 
         def retract(x: Tensor, step: Tensor, index: Tensor) -> Tensor:
@@ -80,8 +82,8 @@ class PlainSolver:
         found = minimise(at, initial.pack(), retract, config.trust_region, config.termination, robust)
         state = State.unpack(found.x, joints)
         points = prior.deform(state.beta, state.joint_states, state.T_camera_base)
-        squared, hessian = (points - seen).square().sum(-1), found.hessian.double()
-        return Refined(state, hessian, self.free, found.converged, found.iterations, targets.weights, squared)
+        covariance = covariance_of(found.hessian.double(), self.free).to(free)
+        return Refined.of(state, points, targets, covariance, found.converged, found.iterations)
 
 
 class Refiner:
@@ -98,20 +100,21 @@ class Refiner:
         free = free_directions(joints, prior.basis_size) if free is None else free
         self.prior, self.config, self.limits = prior, config, limits.to(like)
         self._sizes, self._dtype = (prior.num_keypoints, joints, prior.basis_size), like.dtype
-        self._shape_prior = ShapePrior.of(prior.beta_mean, prior.beta_covariance, config.prior_weight)
+        shape_prior = ShapePrior.of(prior.beta_mean, prior.beta_covariance, config.prior_weight)
         free = free.to(like.device, torch.float64)
         if config.backend == "kernel" or (config.backend == "auto" and like.device.type == "cpu"):
             from .kernel.prior import kernel_prior  # compiled only where it is used
             from .kernel.solve import KernelSolver
 
-            self._solver = KernelSolver(kernel_prior(prior), free, config)
+            self._solver = KernelSolver(kernel_prior(prior), as_doubles(free), config, shape_prior)
         else:
-            self._solver = PlainSolver(prior, free, config)
+            self._solver = PlainSolver(prior, free, config, shape_prior)
 
     def with_shape_prior(self, mean: Tensor, covariance: Tensor) -> Self:
         """The same refinement with another Gaussian on beta, mean (D,) and covariance (D, D), than the category's."""
         other = copy(self)
-        other._shape_prior = ShapePrior.of(mean, covariance, self.config.prior_weight)
+        shape_prior = ShapePrior.of(mean, covariance, self.config.prior_weight)
+        other._solver = replace(self._solver, shape_prior=shape_prior)
         return other
 
     @torch.no_grad()
@@ -140,4 +143,4 @@ class Refiner:
             raise InputError(f"limits: for {given} observations, there are {batch}; give (J, 2) for all of them")
         if (targets.weights < 0).any():
             raise InputError("targets.weights: negative, give 1 / sigma^2 or 0 to leave a keypoint out")
-        return self._solver(targets, initial, self.limits.expand(batch, -1, -1), self._shape_prior)
+        return self._solver(targets, initial, self.limits.expand(batch, -1, -1))

@@ -8,7 +8,6 @@ and radians.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import torch
 from torch import Tensor
@@ -59,34 +58,32 @@ class Refined:
     """What became of B observations."""
 
     state: State
-    hessian: Tensor
-    """(B, F, F) J^T J over the free directions, float64."""
-    directions: Tensor
-    """(P, F) which those are, float64."""
+    covariance: Tensor
+    """(B, P, P) of the unknowns in tangent coordinates (omega, t, theta, beta), from J^T J; zero for held ones, very
+    large where a direction is not observed, NaN where a problem is broken."""
     converged: Tensor
     """(B,) bool."""
     iterations: Tensor
     """(B,) int64."""
-    weights: Tensor
-    """(B, M) of the targets."""
-    squared: Tensor
-    """(B, M) squared distance of each keypoint from its target; arbitrary where the weight is 0."""
+    energy: Tensor
+    """(B,) sum of weighted squared keypoint distances."""
+    residual: Tensor
+    """(B,) RMS keypoint distance over the keypoints with weight."""
 
-    @property
-    def energy(self) -> Tensor:
-        """(B,) sum of weighted squared keypoint distances."""
-        return torch.where(self.weights > 0, self.weights * self.squared, 0.0).sum(-1)
+    @classmethod
+    def of(
+        cls, state: State, points: Tensor, targets: Targets, covariance: Tensor, converged: Tensor, iterations: Tensor
+    ) -> Refined:
+        """With the distances of the state's keypoints ``points`` (B, M, 3) from their targets."""
+        counts = targets.weights != 0
+        squared = torch.where(counts, (points - targets.keypoints).square().sum(-1), 0.0)
+        residual = (squared.sum(-1) / counts.sum(-1).clamp(min=1)).sqrt()
+        return cls(state, covariance, converged, iterations, (targets.weights * squared).sum(-1), residual)
 
-    @property
-    def residual(self) -> Tensor:
-        """(B,) RMS keypoint distance over the keypoints with weight."""
-        counts = self.weights != 0
-        return (torch.where(counts, self.squared, 0.0).sum(-1) / counts.sum(-1).clamp(min=1)).sqrt()
 
-    @cached_property
-    def covariance(self) -> Tensor:
-        """(B, P, P) of the unknowns in tangent coordinates (omega, t, theta, beta), from J^T J; zero for held ones."""
-        return (self.directions @ _inverse(self.hessian) @ self.directions.T).to(self.weights)
+def covariance_of(hessian: Tensor, free: Tensor) -> Tensor:
+    """(B, P, P) of ``Refined.covariance``, from J^T J (B, F, F) over the free directions (P, F)."""
+    return free @ _inverse(hessian) @ free.mT
 
 
 def _inverse(hessian: Tensor) -> Tensor:

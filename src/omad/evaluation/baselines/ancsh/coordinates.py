@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from omad.data.training_views import SurfaceBank, ViewBatch
+from omad.data.surface_bank import SurfaceBank
+from omad.data.training_views import ViewBatch
 from omad.geometry.kinematics import part_transforms
 from omad.geometry.transforms import invert_transform
 from omad.objects.category import Category

@@ -1,12 +1,14 @@
 """A-NCSH's network: OMADNet's backbone, carried to every point, with heads for parts, coordinates and joints."""
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Self
 
 from torch import Tensor, nn
 
 from omad.model.backbones import SLIM, BackboneConfig, backbone_from_dict, backbone_to_dict
-from omad.model.backbones.pointnet2 import Fuse, interpolate
+from omad.model.backbones.point_ops import interpolate
+from omad.model.backbones.pointnet2 import Fuse
 from omad.model.checkpoint import Network
 from omad.objects.category import Category
 
@@ -57,7 +59,7 @@ class AncshNet(Network):
     def forward(self, points: Tensor) -> AncshPrediction:
         """points (B, N, 3) in the input frame (``omad.omadnet``), category units, in random order."""
         features = self.backbone(points)
-        dense = self.propagate(interpolate(points, features.centres, features.dense), points / 0.2)
+        dense = self.propagate(features.dense, points / 0.2, partial(interpolate, points, features.centres))
         naocs = self.naocs_head(dense).unflatten(-1, (-1, 4))
         joints = self.joint_head(dense).unflatten(-1, (-1, 7))
         return AncshPrediction(

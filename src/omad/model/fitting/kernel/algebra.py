@@ -4,15 +4,19 @@ Vectors (3,) and matrices (3, 3) unless said otherwise, float64; results go into
 """
 
 import math
-from typing import Any
 
-import numba
 import numpy as np
 
-# Only called from compiled code: no wrappers for Python and C to compile.
-INNER: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-jit = numba.njit(cache=True, error_model="numpy", nogil=True)
-inner = numba.njit(cache=True, error_model="numpy", nogil=True, **INNER)
+from omad.common.compiled import INNER, compiled, inner
+
+
+@compiled(fastmath={"reassoc", "contract"}, **INNER)
+def dot(a, b):
+    """Sum of products of vectors (n,), in whatever order is quickest."""
+    total = 0.0
+    for i in range(len(a)):
+        total += a[i] * b[i]
+    return total
 
 
 @inner
@@ -35,13 +39,6 @@ def add_skew(s, v, matrix):
     matrix[1, 2] -= s * v[0]
     matrix[2, 0] -= s * v[1]
     matrix[2, 1] += s * v[0]
-
-
-@inner
-def cross(a, b, out):
-    out[0] = a[1] * b[2] - a[2] * b[1]
-    out[1] = a[2] * b[0] - a[0] * b[2]
-    out[2] = a[0] * b[1] - a[1] * b[0]
 
 
 @inner
@@ -78,6 +75,37 @@ def solve_damped(A, extra, g, L, step):
         for k in range(i + 1, n):
             total -= L[k, i] * step[k]
         step[i] = total / L[i, i]
+    return True
+
+
+@inner
+def invert(A, L, unit, column, out):
+    """Inverse of a symmetric A (n, n), given by its lower triangle, for a covariance: very large where a direction is
+    not observed; False, and ``out`` arbitrary, where A is broken. L (n, n), unit and column (n,) are worked in."""
+    n = len(A)
+    for i in range(n):
+        if not A[i, i] >= 0.0:
+            return False
+        unit[i] = math.sqrt(A[i, i] if A[i, i] > 0.0 else 1e-12)
+    # Scaled to a unit diagonal, whatever the units, a singular matrix needs only this much to be invertible.
+    for i in range(n):
+        for j in range(i + 1):
+            total = A[i, j] / (unit[i] * unit[j]) - dot(L[i, :j], L[j, :j])
+            if i > j:
+                L[i, j] = total / L[j, j]
+            elif total + 1e-12 > 0.0:
+                L[i, i] = math.sqrt(total + 1e-12)
+            else:
+                return False
+    for j in range(n):
+        column[:j] = 0.0
+        for i in range(j, n):
+            column[i] = ((1.0 if i == j else 0.0) - dot(L[i, j:i], column[j:i])) / L[i, i]
+        for i in range(n - 1, -1, -1):
+            column[i] /= L[i, i]
+            for k in range(i):
+                column[k] -= L[i, k] * column[i]
+            out[i, j] = column[i] / (unit[i] * unit[j])
     return True
 
 

@@ -1,0 +1,78 @@
+"""Measure the shipped weights on spoilt views and write the table of docs/robustness.md.
+
+    OMP_NUM_THREADS=1 python benchmarks/make_robustness_table.py [--categories laptop laptop/cluttered] [--views 60]
+
+The table stands between ``<!-- robustness -->`` and ``<!-- end -->``. Answers are kept in ``--cache`` and made anew
+only where they are missing.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import tyro
+from make_tables import replaced
+
+from omad.cli.evaluate import EvalRobustness, SpoiltViews
+from omad.common.files import write_atomic, write_json
+
+PAGE = Path(__file__).parent.parent / "docs" / "robustness.md"
+
+
+@dataclass(frozen=True)
+class Config:
+    """What to measure."""
+
+    categories: tuple[str, ...] = ("laptop", "eyeglasses", "dishwasher", "scissors", "drawer")
+    views: int = 60
+    """Of each row."""
+    cache: Path = Path("runs/robustness")
+
+
+def measured(config: Config, category: str) -> dict[str, Any]:
+    """The answer of ``omad eval robustness``, from the cache where it is there."""
+    name, _, other = category.partition("/")
+    file = config.cache / f"{category.replace('/', '-')}-{config.views}.json"
+    if not file.is_file():
+        print(category, file=sys.stderr)
+        weights = Path(category) if other else None
+        write_json(
+            file, EvalRobustness(category=name, weights=weights, data=SpoiltViews(views=config.views)).run().record
+        )
+    return json.loads(file.read_text())
+
+
+def table(answers: dict[str, dict[str, Any]]) -> list[str]:
+    """A line a row, a column a category."""
+    by_row: dict[str, dict[str, dict[str, Any]]] = {}
+    for category, answer in answers.items():
+        for row in answer["rows"]:
+            by_row.setdefault(row["row"], {})[category] = row
+    lines = [f"| row | {' | '.join(answers)} |", "|---" * (len(answers) + 1) + "|"]
+    for row, rows in by_row.items():
+        cells = (cell(rows[name], answer["views"]) if name in rows else "-" for name, answer in answers.items())
+        lines.append(f"| `{row}` | {' | '.join(cells)} |")
+    return lines
+
+
+def cell(row: dict[str, Any], views: int) -> str:
+    """Mean error; shares covered, flagged and silently wrong; the number of views where it is not ``views``."""
+    angle, length = row["joint_state_error_deg"], row["joint_state_error"]
+    error = f"{angle['mean']:.1f}°" if angle else f"{100 * length['mean']:.1f} cm"
+    shares = (f"{100 * row[key]:.0f}" for key in ("covered", "flagged", "silently_wrong"))
+    fewer = f" ({row['views']})" if row["views"] < views else ""
+    return f"{error}; {' / '.join(shares)}{fewer}"
+
+
+def main(config: Config) -> None:
+    answers = {category: measured(config, category) for category in config.categories}
+    text = replaced(PAGE.read_text(), "robustness", table(answers))
+    write_atomic(PAGE, lambda path: path.write_text(text))
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Config, description=__doc__))

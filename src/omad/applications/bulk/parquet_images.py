@@ -1,0 +1,151 @@
+"""Depth images in a Parquet file, a row each. Columns:
+
+- ``depth``: the bytes of a PNG, TIFF or NPY file (also as Hugging Face's struct of ``bytes`` and ``path``); or with the
+  columns ``height`` and ``width`` the pixels row by row, as numbers or as little-endian bytes of uint16, float32 or
+  float64; or a list of rows of numbers. Integers are millimetres, floats metres, if nothing else is said.
+- ``mask``, if there is one: in the same forms, or a byte a pixel; not zero where the object is.
+- ``intrinsics``, if they are not the same for all: fx, fy, cx, cy, or nine numbers row by row.
+- ``id``, if rows have names.
+"""
+
+import io
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from PIL import Image
+
+from omad.common.errors import InputError
+from omad.common.files import one_line
+from omad.sensing.camera_files import CameraFile, read_camera
+from omad.sensing.depth_files import in_metres
+from omad.sensing.observation import Observation
+from omad.sensing.reader import NEED_INTRINSICS, InputReader
+
+from .stream import Frame
+
+SUFFIX = ".parquet"
+COLUMNS = ("id", "depth", "mask", "intrinsics", "height", "width")
+ROWS = 16
+"""Read together."""
+RAW = {1: "u1", 2: "<u2", 4: "<f4", 8: "<f8"}
+"""Stored numbers by their bytes."""
+
+
+def import_pyarrow() -> Any:
+    """The package, with ``pyarrow.parquet``. Raises InputError where it is not installed."""
+    try:
+        import pyarrow.parquet  # pyright: ignore[reportMissingImports]
+    except ImportError as error:
+        raise InputError("Parquet files need PyArrow, which is not installed: pip install 'omad[parquet]'") from error
+    return pyarrow
+
+
+@dataclass(frozen=True)
+class ParquetImages:
+    """An open file."""
+
+    path: Path
+    file: Any
+    """pyarrow.parquet.ParquetFile."""
+    reader: InputReader
+    columns: list[str]
+
+    @classmethod
+    def open(cls, path: Path, reader: InputReader) -> Self:
+        """Raises InputError for a file that is no Parquet, or that has no depth or no intrinsics."""
+        if not path.is_file():
+            raise InputError(f"{path}: no such file; give a Parquet file of depth images")
+        parquet = import_pyarrow().parquet
+        try:
+            file = parquet.ParquetFile(path)
+        except Exception as error:
+            raise InputError(f"{path}: not readable as Parquet ({one_line(error)}); export it again") from error
+        found = file.schema_arrow.names
+        if "depth" not in found:
+            raise InputError(f"{path}: no column depth, only {', '.join(found)}; rename the one with depth images")
+        if "intrinsics" not in found and reader.camera is None:
+            raise InputError(f"{path}: {NEED_INTRINSICS}, or a column intrinsics")
+        if "mask" not in found and isinstance(reader.mask, Path):
+            raise InputError(f"--mask {reader.mask}: is a folder; give {path} a column mask")
+        return cls(path, file, reader, [name for name in COLUMNS if name in found])
+
+    @property
+    def total(self) -> int:
+        """Rows."""
+        return self.file.metadata.num_rows
+
+    def after(self, done: int) -> Iterator[Frame]:
+        """The frames after the first ``done``; groups of rows that lie before them are not read."""
+        first, start = 0, 0
+        sizes = [self.file.metadata.row_group(group).num_rows for group in range(self.file.num_row_groups)]
+        while first < len(sizes) and start + sizes[first] <= done:
+            start += sizes[first]
+            first += 1
+        groups = list(range(first, len(sizes)))
+        try:
+            for batch in self.file.iter_batches(ROWS, groups, self.columns) if groups else ():
+                for row in range(max(done - start, 0), batch.num_rows):
+                    values = {name: batch.column(name)[row] for name in self.columns}
+                    name = values["id"].as_py() if "id" in values else None
+                    yield Frame(
+                        f"{self.path}[{start + row}]" if name is None else str(name), partial(self._load, values)
+                    )
+                start += batch.num_rows
+        except OSError as error:
+            raise InputError(f"{self.path}: damaged ({one_line(error)}); copy it anew") from error
+
+    def _load(self, values: dict[str, Any]) -> Observation:
+        sides = [values[name].as_py() for name in ("height", "width") if name in values]
+        shape = (int(sides[0]), int(sides[1])) if len(sides) == 2 and None not in sides else None
+        depth = _image(values["depth"], shape, "depth")
+        if depth is None:
+            raise InputError("depth: is null; leave the row out")
+        mask: Any = self.reader.mask
+        if "mask" in values:
+            mask = _image(values["mask"], shape, "mask")
+            mask = np.any(mask, -1) if mask is not None and mask.ndim == 3 else mask
+        told = values["intrinsics"].as_py() if "intrinsics" in values else None
+        camera = None if told is None else _camera(told)
+        return self.reader.observe(in_metres(depth, self.reader.depth_scale), mask, camera)
+
+
+def _camera(told: Any) -> CameraFile:
+    numbers = told if isinstance(told, str) else ",".join(map(str, np.asarray(told, dtype=float).ravel()))
+    return read_camera(numbers)
+
+
+def _image(value: Any, shape: tuple[int, int] | None, name: str) -> np.ndarray | None:
+    """(H, W) of an Arrow scalar; None for null. Raises InputError."""
+    if hasattr(value, "keys"):  # a struct
+        value = value["bytes"]
+    if not value.is_valid:
+        return None
+    try:
+        if hasattr(value, "values"):  # a list
+            numbers = value.values
+            if hasattr(numbers, "flatten"):  # of rows
+                shape, numbers = (len(numbers), -1), numbers.flatten()
+            array = numbers.to_numpy(zero_copy_only=False)
+        else:
+            stored = value.as_py()
+            if shape is None:
+                return _decoded(stored)
+            array = np.frombuffer(stored, RAW[len(stored) // (shape[0] * shape[1])])
+        if shape is None:
+            raise ValueError("columns height and width are needed for a flat list")
+        return array.reshape(shape)
+    except Exception as error:  # readers of images raise anything
+        cure = "give an image file's bytes, or height, width and all pixels"
+        raise InputError(f"{name}: not readable as an image ({one_line(error)}); {cure}") from error
+
+
+def _decoded(stored: bytes) -> np.ndarray:
+    """An image file's bytes."""
+    if stored[:6] == b"\x93NUMPY":
+        return np.load(io.BytesIO(stored), allow_pickle=False)
+    with Image.open(io.BytesIO(stored)) as image:
+        return np.asarray(image)

@@ -1,0 +1,145 @@
+"""A file of results, a row an image, that goes on where it was interrupted.
+
+Rows are appended to ``OUTPUT.part``; the file gets its name when all are there. ``OUTPUT.run`` beside it says what the
+part is made of, so that no other run goes on with it.
+"""
+
+import json
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Self
+
+from omad.common.batches import batched
+from omad.common.errors import InputError
+from omad.common.files import make_folder, read_json, write_atomic, write_json
+from omad.estimation.estimate import Estimate, plain
+
+from .parquet_images import SUFFIX, import_pyarrow
+from .stream import Outcome
+
+LINES = ".jsonl"
+ROWS = 4096
+"""A group of rows in a Parquet file of results."""
+
+
+def row(outcome: Outcome) -> dict[str, Any]:
+    """What is kept of an image, as plain values: the numbers of ``Estimate.to_dict`` that no other tells."""
+    estimate = outcome.estimate
+    if estimate is None:
+        return {"name": outcome.name, "refused": outcome.refused}
+    return {"name": outcome.name, "refused": None, **_numbers(estimate)}
+
+
+def _numbers(estimate: Estimate) -> dict[str, Any]:
+    return plain(
+        {
+            "category": estimate.category.name,
+            "converged": estimate.converged,
+            "residual": estimate.residual,
+            "beta": estimate.beta,
+            "T_camera_base": estimate.T_camera_base,
+            "T_camera_part": estimate.T_camera_part,
+            "joints": estimate.joints,
+            "warnings": estimate.warnings,
+        }
+    )
+
+
+@dataclass
+class Results:
+    """A file that is being made. Lengths are metres, angles radians, places those of the camera frame."""
+
+    path: Path
+    done: int = 0
+    """Rows that are there."""
+    refused: int = 0
+    """Of these, without an estimate."""
+    last: str | None = None
+    """Name of the last one's image."""
+
+    @classmethod
+    def open(cls, path: Path, made_of: dict[str, Any], batch: int = 1) -> Self:
+        """Begin, or go on with what a run ``made_of`` the same (plain values) left: with whole batches of ``batch``
+        rows, as rounding depends on what is worked on together. Raises InputError where there are other results, or the
+        file's format is unknown."""
+        if path.suffix not in (LINES, SUFFIX):
+            raise InputError(f"--output {path}: give a name that ends in {LINES} or {SUFFIX}")
+        if path.suffix == SUFFIX:
+            import_pyarrow()  # rather now than after a day's work
+        if path.exists():
+            raise InputError(f"{path}: is there already; delete it, or give another --output")
+        results = cls(path)
+        make_folder(path.parent)
+        if not results.part.is_file():
+            write_json(results.run, made_of)
+        elif read_json(results.run, f"delete {results.part}, or give another --output") != made_of:
+            raise InputError(f"{results.part}: made with other inputs or settings; delete it, or give another --output")
+        else:
+            results._resume(batch)
+        return results
+
+    @property
+    def part(self) -> Path:
+        """What is made so far."""
+        return self.path.with_name(f"{self.path.name}.part")
+
+    @property
+    def run(self) -> Path:
+        """What it is made of."""
+        return self.path.with_name(f"{self.path.name}.run")
+
+    def add(self, outcomes: Iterable[Outcome]) -> Iterable[Outcome]:
+        """The same outcomes, each of them written before it is handed on."""
+        try:
+            with self.part.open("ab") as file:
+                for outcome in outcomes:
+                    file.write(json.dumps(row(outcome)).encode() + b"\n")
+                    file.flush()  # what is done is on disk, whatever ends this process
+                    self.done += 1
+                    self.refused += outcome.estimate is None
+                    yield outcome
+        except OSError as error:
+            raise InputError(f"{self.part}: cannot be written ({error.strerror}); make room, and run again") from error
+
+    def finish(self) -> None:
+        """Give the file its name."""
+        self.part.touch()
+        if self.path.suffix == LINES:
+            self.part.replace(self.path)
+        else:
+            write_atomic(self.path, self._write_parquet)
+            self.part.unlink()
+        self.run.unlink()
+
+    def _resume(self, batch: int) -> None:
+        """Take the whole batches that are there; the last line may be half written."""
+        kept = place = count = refused = 0
+        with self.part.open("rb") as file:
+            for line in file:
+                try:
+                    found = json.loads(line) if line.endswith(b"\n") else None
+                except ValueError:
+                    found = None
+                if found is None:
+                    break
+                place, count, refused = place + len(line), count + 1, refused + (found["refused"] is not None)
+                if count % batch == 0:
+                    kept, self.done, self.refused, self.last = place, count, refused, found["name"]
+        with self.part.open("r+b") as file:
+            file.truncate(kept)
+
+    def _write_parquet(self, path: Path) -> None:
+        pyarrow = import_pyarrow()
+        text, number, truth = pyarrow.string(), pyarrow.float64(), pyarrow.bool_()
+        numbers = pyarrow.list_(number)
+        joint = {"name": text, "type": text, "state": number, "state_std": number, "fraction": number}
+        joint |= {"limits": numbers, "axis": numbers, "pivot": numbers, "pitch": number}
+        columns = {"name": text, "refused": text, "category": text, "converged": truth, "residual": number}
+        columns |= {"beta": numbers, "T_camera_base": pyarrow.list_(numbers)}
+        columns |= {"T_camera_part": pyarrow.list_(pyarrow.list_(numbers))}
+        columns |= {"joints": pyarrow.list_(pyarrow.struct(joint)), "warnings": pyarrow.list_(text)}
+        schema = pyarrow.schema(columns)
+        with self.part.open("rb") as file, pyarrow.parquet.ParquetWriter(path, schema) as writer:
+            for lines in batched(file, ROWS):
+                writer.write_table(pyarrow.Table.from_pylist([json.loads(line) for line in lines], schema))

@@ -1,0 +1,141 @@
+"""Where many depth images come from: folders, stacks in one array, Parquet files; read as they are needed."""
+
+import os
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+
+from omad.common.errors import InputError
+from omad.sensing.depth_files import in_metres
+from omad.sensing.input_options import FrameOptions, InputOptions
+from omad.sensing.observation import Observation
+from omad.sensing.reader import KNOWN, InputReader
+
+from .parquet_images import SUFFIX, ParquetImages
+from .stream import Frame
+
+
+@dataclass(frozen=True)
+class Source:
+    """Frames in a fixed order, of which any may be the first."""
+
+    total: int
+    after: Callable[[int], Iterator[Frame]]
+    """Its frames without the first so many, which are not read."""
+
+
+def open_sources(
+    inputs: Sequence[Path], reading: InputOptions | None = None, frame: FrameOptions | None = None
+) -> Source:
+    """All of ``inputs``, one after the other. Each is
+
+    - a folder: its Parquet files, then its depth images and clouds, by name;
+    - a stack: NPY (N, H, W), of which only the images at work are in memory, or NPZ with ``depth`` (N, H, W) and, if it
+      has one, ``mask`` (N, H, W); with ``--mask`` an NPY of the same shape;
+    - a Parquet file (``parquet_images.py`` says with which columns);
+    - one depth image or cloud.
+
+    Names are those of files, with ``[index]`` for an image in a stack, or what a Parquet file's ``id`` says.
+    Raises InputError for what cannot be read at all; a bad frame raises when it is loaded."""
+    reading, frame = reading or InputOptions(), frame or FrameOptions()
+    if not inputs:
+        raise InputError("no input; give a folder of depth images, a stack (.npy, .npz) or a Parquet file")
+    if missing := [path for path in inputs if not path.exists()]:
+        raise InputError(f"{missing[0]}: no such file or folder; give depth images, a stack or a Parquet file")
+    masks = None if reading.mask is None else _stack_in(reading.mask, "mask")
+    alone = reading if masks is None else replace(reading, mask=None)
+    groups = [_listed(path) if path.is_dir() else _Group(path.parent, [path.name]) for path in inputs]
+    first = next((file for group in groups for file in group.files() if file.suffix.lower() != SUFFIX), None)
+    reader = InputReader.of(alone, [] if first is None else [first], frame)
+    sources: list[Source] = []
+    for path, group in zip(inputs, groups, strict=True):
+        stack = None if path.is_dir() else _stack_in(path, "depth")
+        if stack is not None:
+            sources.append(_stack(path, stack, _stack_in(path, "mask", named=True) if masks is None else masks, reader))
+            continue
+        if masks is not None:
+            raise InputError(f"--mask {reading.mask}: is a stack, but {path} none; give a mask or a folder of them")
+        sources += [_parquet(file, reader) for file in group.files() if file.suffix.lower() == SUFFIX]
+        images = [name for name in group.names if Path(name).suffix.lower() != SUFFIX]
+        sources.append(_single(_Group(group.folder, images), reader))
+    return _chained(sources)
+
+
+@dataclass(frozen=True)
+class _Group:
+    """Files of one folder: by their names alone, as there may be a million."""
+
+    folder: Path
+    names: list[str]
+
+    def files(self) -> Iterator[Path]:
+        return (self.folder / name for name in self.names)
+
+
+def _listed(folder: Path) -> _Group:
+    known = (*KNOWN, SUFFIX)
+    with os.scandir(folder) as entries:
+        names = sorted(e.name for e in entries if e.name[0] != "." and e.name.lower().endswith(known) and e.is_file())
+    if not names:
+        raise InputError(f"{folder}: no depth image, cloud or Parquet file in it; known: {' '.join(known)}")
+    return _Group(folder, names)
+
+
+def _single(group: _Group, reader: InputReader) -> Source:
+    def after(done: int) -> Iterator[Frame]:
+        return (Frame(str(file), partial(reader, file)) for file in islice(group.files(), done, None))
+
+    return Source(len(group.names), after)
+
+
+def _stack_in(path: Path, key: str, named: bool = False) -> np.ndarray | None:
+    """Images (N, H, W) of an NPY, on disk, or those called ``key`` of an NPZ; None where a file is no stack. ``named``:
+    only of an NPZ."""
+    try:
+        if path.suffix.lower() == ".npz":
+            with np.load(path, allow_pickle=False) as file:
+                found = file[key] if key in file.files else None
+        elif path.suffix.lower() == ".npy" and not named:
+            found = np.load(path, mmap_mode="r", allow_pickle=False)
+        else:
+            return None
+    except Exception:  # whoever reads it as a single image says what is wrong
+        return None
+    # (H, W, 3) is an organised cloud, (H, W, 1) one image
+    return found if found is not None and found.ndim == 3 and found.shape[-1] not in (1, 3) else None
+
+
+def _stack(path: Path, depths: np.ndarray, masks: np.ndarray | None, reader: InputReader) -> Source:
+    if masks is not None and masks.shape != depths.shape:
+        raise InputError(f"{path}: its shape is {depths.shape}, that of its masks {masks.shape}; give one for each")
+    if isinstance(reader.mask, Path):
+        raise InputError(f"--mask {reader.mask}: is a folder, but {path} a stack; give a stack of masks (N, H, W)")
+
+    def load(index: int) -> Observation:
+        mask = reader.mask if masks is None else np.asarray(masks[index])
+        assert not isinstance(mask, Path)
+        return reader.observe(in_metres(np.asarray(depths[index]), reader.depth_scale), mask)
+
+    def after(done: int) -> Iterator[Frame]:
+        return (Frame(f"{path}[{index}]", partial(load, index)) for index in range(done, len(depths)))
+
+    return Source(len(depths), after)
+
+
+def _parquet(path: Path, reader: InputReader) -> Source:
+    images = ParquetImages.open(path, reader)
+    return Source(images.total, images.after)
+
+
+def _chained(sources: Sequence[Source]) -> Source:
+    def after(done: int) -> Iterator[Frame]:
+        for source in sources:
+            if done < source.total:
+                yield from source.after(done)
+            done = max(done - source.total, 0)
+
+    return Source(sum(source.total for source in sources), after)

@@ -1,0 +1,111 @@
+"""Many observations through one estimator, on all cores, as a stream.
+
+Threads, not processes: reading, the network and compiled loops run without the interpreter's lock, so that on two cores
+threads give as many images a second as processes do, with one copy of the weights and nothing to start or to send.
+"""
+
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, Self, TypeVar
+
+import torch
+
+from omad.common.batches import batched
+from omad.common.errors import InputError
+from omad.common.files import one_line
+from omad.common.runtime import cores
+from omad.estimation.estimate import Estimate
+from omad.estimation.estimator import Estimator
+from omad.sensing.observation import Observation
+
+T = TypeVar("T")
+
+IN_FLIGHT = 3
+"""Batches that are read, worked on or waiting to be taken, a worker."""
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One observation to come: read by the worker that estimates it, so that no other thread waits for that."""
+
+    name: str
+    load: Callable[[], Observation]
+    """Raises InputError where it is bad."""
+
+    @classmethod
+    def of_depth(cls, name: str, depth_m: Any, K: Any, mask: Any = None, **options: Any) -> Self:
+        """A depth image, as ``Observation.from_depth`` takes it."""
+        return cls(name, partial(Observation.from_depth, depth_m, K, mask, **options))
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of one frame."""
+
+    name: str
+    """Of a bare observation: its place in the stream, from 0."""
+    estimate: Estimate | None
+    refused: str | None = None
+    """Why there is no estimate, on one line."""
+
+
+def estimate_stream(
+    estimator: Estimator,
+    frames: Iterable[Frame | Observation],
+    workers: int = 0,
+    batch: int = 16,
+) -> Iterator[Outcome]:
+    """Estimates in the order of ``frames``, which may be endless: so many as ``IN_FLIGHT`` batches a worker are taken
+    ahead of what the caller has taken. A frame that cannot be read or estimated is told of in its place, and the
+    others go on. ``workers`` threads, 0: a core each. While it runs, PyTorch has one thread for each of them."""
+    workers, threads = workers or cores(), torch.get_num_threads()
+    if workers < 1 or batch < 1:
+        raise InputError(f"workers {workers}, batch {batch}: give whole numbers from 1")
+    waiting: deque[Future[list[Outcome]]] = deque()
+    torch.set_num_threads(1)
+    pool = ThreadPoolExecutor(workers, initializer=torch.set_num_threads, initargs=(1,))
+    try:
+        for some in batched(_named(frames), batch):
+            waiting.append(pool.submit(_outcomes, estimator, some))
+            if len(waiting) >= IN_FLIGHT * workers:
+                yield from waiting.popleft().result()
+        while waiting:
+            yield from waiting.popleft().result()
+    finally:
+        pool.shutdown(cancel_futures=True)
+        torch.set_num_threads(threads)
+
+
+def _named(frames: Iterable[Frame | Observation]) -> Iterator[Frame]:
+    for index, frame in enumerate(frames):
+        yield frame if isinstance(frame, Frame) else Frame(str(index), partial(_itself, frame))
+
+
+def _itself(observation: Observation) -> Observation:
+    return observation
+
+
+def _outcomes(estimator: Estimator, frames: Sequence[Frame]) -> list[Outcome]:
+    """Of one batch, in order."""
+    read = [_tried(frame.load) for frame in frames]
+    views = [view for view, _ in read if view is not None]
+    together, _ = _tried(lambda: estimator(views))
+    if together is not None:
+        answers = iter([(estimate, None) for estimate in together])
+    else:  # where one spoils the batch, each is tried alone
+        answers = iter([_tried(partial(estimator, view)) for view in views])
+    found = [(None, why) if view is None else next(answers) for view, why in read]
+    return [Outcome(frame.name, *answer) for frame, answer in zip(frames, found, strict=True)]
+
+
+def _tried(work: Callable[[], T]) -> tuple[T | None, str | None]:
+    """What it returns, or why it failed: nothing that one frame holds may end the stream."""
+    try:
+        return work(), None
+    except InputError as error:
+        return None, one_line(error)
+    except Exception as error:
+        return None, f"{type(error).__name__}: {one_line(error)}"

@@ -1,0 +1,136 @@
+"""Finds the objects of a frame: planes are taken away, what is left falls into things, categories judge each thing."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from omad.common.errors import InputError
+from omad.estimation.estimate import Estimate, plain
+from omad.estimation.estimator import Estimator
+from omad.estimation.evidence import measure_evidence
+from omad.geometry.rigid import box as bounds
+from omad.model.checkpoint import shipped_categories
+from omad.sensing.observation import Observation, region_of
+from omad.sensing.segmentation import things_before_planes
+
+from .judgement import ODD_SIZE, Judgement, against, size_ratio
+
+LEAST = 150
+"""Points of the smallest thing that is looked at."""
+SURE = 0.6
+"""An object is of a category that is at least so likely; what reaches this for no category is none of them."""
+
+
+@dataclass(frozen=True)
+class Detection:
+    """One thing that stands before table, floor and walls."""
+
+    observation: Observation
+    """Its points alone."""
+    probabilities: dict[str | None, float]
+    """Of each category, likeliest first; None: of none of them."""
+    estimate: Estimate | None
+    """By its category; None where it is of none."""
+    evidence: dict[str, np.ndarray]
+    """(6,) what speaks ``against`` each category of about its size."""
+
+    @property
+    def category(self) -> str | None:
+        """None: none of those that were asked for."""
+        return None if self.estimate is None else self.estimate.category.name
+
+    @property
+    def probability(self) -> float:
+        """That it is of its category; where it is of none, that it is indeed of none."""
+        return self.probabilities[self.category]
+
+    @property
+    def box(self) -> tuple[int, int, int, int] | None:
+        """x1, y1, x2, y2 in pixels, half-open; None in a bare cloud."""
+        if self.observation.pixels is None:
+            return None
+        (x1, y1), (x2, y2) = bounds(self.observation.pixels).tolist()
+        return x1, y1, x2 + 1, y2 + 1
+
+    def to_dict(self) -> dict[str, Any]:
+        """As JSON has it; ``centre`` is the middle of its seen points' box, metres, camera frame."""
+        estimate = None if self.estimate is None else self.estimate.to_dict()
+        return plain(
+            {
+                "category": self.category,
+                "probability": self.probability,
+                "probabilities": {name or "none": value for name, value in self.probabilities.items()},
+                "box": self.box,
+                "points": len(self.observation.points),
+                "centre": bounds(self.observation.points).mean(0),
+                "estimate": estimate,
+            }
+        )
+
+
+@dataclass(frozen=True)
+class Detector:
+    """Looks for objects of the categories whose estimators it has."""
+
+    estimators: Sequence[Estimator]
+    judgement: Judgement = field(default_factory=Judgement.fitted)
+
+    def __call__(self, frame: Observation, box: Sequence[float] | None = None) -> list[Detection]:
+        """All things of a whole ``frame``, objects first and the likeliest of them first; within a ``box``
+        (x1, y1, x2, y2) in pixels where one is given. Things that lie flat on a table cannot be told from it by depth,
+        and things that touch are one. Raises InputError for a box of a bare cloud."""
+        seen = [_part(frame, thing) for thing in things_before_planes(frame.points, LEAST, _inside(frame, box))]
+        evidence: list[dict[str, np.ndarray]] = [{} for _ in seen]
+        estimates: list[dict[str, Estimate]] = [{} for _ in seen]
+        for estimator in self.estimators:
+            category = estimator.category
+            ratios = [size_ratio(thing.points, category) for thing in seen]
+            of_its_size = [i for i, ratio in enumerate(ratios) if 1 / ODD_SIZE < ratio < ODD_SIZE]
+            found = estimator([seen[i] for i in of_its_size]) if of_its_size else []
+            for i, estimate in zip(of_its_size, found, strict=True):
+                measured = measure_evidence(seen[i], estimate, estimator.net.prior)
+                evidence[i][category.name] = against(measured, estimate, ratios[i])
+                estimates[i][category.name] = estimate
+        detections = []
+        for thing, numbers, candidates in zip(seen, evidence, estimates, strict=True):
+            probabilities = self.judgement.probabilities(numbers)
+            best = max(candidates, key=lambda name: probabilities[name], default=None)
+            sure = best is not None and probabilities[best] >= SURE
+            estimate = candidates[best] if best is not None and sure else None
+            detections.append(Detection(thing, probabilities, estimate, numbers))
+        return sorted(detections, key=lambda found: (found.category is None, -found.probability))
+
+
+def detect(depth_m: Any, K: Any, categories: Sequence[str] = (), box: Sequence[float] | None = None) -> list[Detection]:
+    """All objects of a depth image (H, W) in metres, as ``Observation.from_depth`` takes it with ``K``: what stands on
+    a table or floor, each with its category of ``categories`` (default: all with shipped weights), its estimate and how
+    sure that is. What is of none of them is among the answers, too. ``box``: as of ``Detector``. Raises InputError."""
+    return _detector(tuple(categories) or tuple(shipped_categories()))(Observation.from_depth(depth_m, K), box)
+
+
+@cache
+def _detector(categories: tuple[str, ...]) -> Detector:
+    return Detector([Estimator.from_pretrained(name) for name in categories])
+
+
+def _inside(frame: Observation, box: Sequence[float] | None) -> np.ndarray | None:
+    """(N,) bool of the frame's points."""
+    if box is None:
+        return None
+    if frame.depth is None or frame.pixels is None:
+        raise InputError("box: needs a depth image; a bare cloud has no pixels")
+    return region_of(frame.depth.shape, None, box)[tuple(frame.pixels.T[::-1])]
+
+
+def _part(frame: Observation, index: np.ndarray) -> Observation:
+    """Some of a frame's points."""
+    points = frame.points[index]
+    if frame.depth is None or frame.pixels is None:
+        return replace(frame, points=points)
+    pixels = frame.pixels[index]
+    mask = np.zeros(frame.depth.shape, dtype=bool)
+    mask[pixels[:, 1], pixels[:, 0]] = True
+    return replace(frame, points=points, pixels=pixels, mask=mask)

@@ -1,0 +1,80 @@
+"""How likely a thing is of each category, or of none: a softmax over what speaks against them.
+
+Its weights were fitted by maximum likelihood to things cut out of tables and floors with objects of the training split,
+boxes and cans (``benchmarks/bench_detect.py --fit --scenes 60 --seed 1``, which writes them to ``judgement.json``).
+"""
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+from scipy.spatial import ConvexHull
+
+from omad.estimation.checks import USUAL_SIZE
+from omad.estimation.estimate import Estimate
+from omad.estimation.evidence import Evidence
+from omad.objects.category import Category
+
+FITTED = Path(__file__).with_name("judgement.json")
+ODD_SIZE = 3.5
+"""What is so many times larger or smaller than usual is none of the category."""
+
+
+def size_ratio(points: np.ndarray, category: Category) -> float:
+    """Size of a cloud (N, 3) in metres, in units of the category's usual one."""
+    return float(np.linalg.norm(np.ptp(points, axis=0))) / (USUAL_SIZE * category.metres_per_unit)
+
+
+def against(evidence: Evidence, estimate: Estimate, ratio: float) -> np.ndarray:
+    """(6,) what speaks against a category; grows as it fits worse. ``ratio`` is the ``size_ratio``."""
+    odd_size = math.log(max(ratio, 1e-6)) ** 2
+    fit = [evidence.unsure, evidence.shape_mahalanobis, evidence.uncovered, evidence.unseen]
+    return np.array([*fit, odd_size, _solidity(estimate)])
+
+
+def _solidity(estimate: Estimate) -> float:
+    """Volume of the estimated object's parts as a share of that of their common hull: near one for a closed dishwasher,
+    which any box looks like; an open one looks like nothing else."""
+    parts = [mesh.vertices for mesh in estimate.object_model().posed(estimate.joint_states)]
+    whole, *each = (ConvexHull(points, qhull_options="QJ").volume for points in (np.concatenate(parts), *parts))
+    return min(sum(each) / max(whole, 1e-12), 1.0)
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """Weights of the evidence, by the names of categories: their networks differ in how sure they are."""
+
+    weights: Mapping[str, Sequence[float]]
+    """(6,) log-odds per unit of what ``against`` returns."""
+    offsets: Mapping[str, float]
+    """Log-odds of a category over none where nothing speaks against it."""
+
+    @classmethod
+    def fitted(cls) -> Self:
+        """That of the shipped weights."""
+        return cls(**json.loads(FITTED.read_text(encoding="utf-8")))
+
+    def probabilities(self, evidence: Mapping[str, np.ndarray]) -> dict[str | None, float]:
+        """Of the categories whose evidence (6,) is given by their names, and of none of them (None); likeliest first.
+        A category of one's own has the mean weights of the known ones."""
+        scores: dict[str | None, float] = {None: 0.0}
+        for name, values in evidence.items():
+            score = self._score(name, values)
+            scores[name] = score if math.isfinite(score) else -math.inf
+        highest = max(scores.values())
+        odds = {name: math.exp(score - highest) for name, score in scores.items()}
+        total = sum(odds.values())
+        return {name: odds[name] / total for name in sorted(odds, key=lambda name: -odds[name])}
+
+    def _score(self, name: str, values: np.ndarray) -> float:
+        alike = [name] if name in self.offsets else list(self.offsets)
+        weights = np.mean([self.weights[one] for one in alike], axis=0)
+        return float(np.mean([self.offsets[one] for one in alike]) - values @ weights)
+
+    def save(self, path: Path = FITTED) -> None:
+        """Write the file that ``fitted`` reads."""
+        path.write_text(json.dumps(asdict(self)) + "\n", encoding="utf-8")

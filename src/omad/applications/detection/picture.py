@@ -1,0 +1,48 @@
+"""One picture of all that was found in a frame."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from omad.data.rendering.rasteriser import render
+from omad.output.picture import blank_panels, camera_around, draw_points, part_colours, shaded
+from omad.sensing.observation import Observation
+
+from .detector import Detection
+
+GREY = np.array([0.55, 0.55, 0.55])
+
+
+def figure(frame: Observation, detections: Sequence[Detection], title: str = "") -> Figure:
+    """Two panels: the frame with each thing in its colour (grey: of no category), its number and category; and the
+    estimated objects where they are."""
+    camera = frame.camera or camera_around(frame.points)
+    fig, grid = blank_panels(1, 2, (15, 6.2))
+    seen, estimated = grid.ravel()
+    if frame.depth is None:
+        draw_points(seen, camera, frame.points, np.array([0.8, 0.8, 0.8]))
+    else:
+        near, far = frame.depth_range
+        seen.imshow(np.where(frame.depth > 0, frame.depth, np.nan), cmap="gray_r", vmin=near, vmax=far + 1e-6)
+    image, nearest = np.ones((camera.height, camera.width, 3)), np.full((camera.height, camera.width), np.inf)
+    for number, found in enumerate(detections, 1):
+        points = found.observation.points
+        colour = GREY if found.category is None else part_colours(number)
+        draw_points(seen, camera, points, colour)
+        name = f"{number} {found.category or 'none'} {found.probability:.0%}"
+        x, y = np.median(camera.project(points), axis=0)
+        seen.text(x, y, name, ha="center", bbox={"facecolor": "white", "alpha": 0.7, "pad": 1.5, "linewidth": 0})
+        if found.estimate is not None:
+            estimate = found.estimate
+            rendering = render(estimate.object_model(), estimate.joint_states, estimate.T_camera_base, camera)
+            shown = (rendering.depth > 0) & (rendering.depth < nearest)
+            image[shown], nearest[shown] = shaded(rendering)[shown], rendering.depth[shown]
+    estimated.imshow(image)
+    for panel in grid.ravel():
+        panel.set(xlim=(0, camera.width), ylim=(camera.height, 0), aspect="equal")
+    seen.set_title("found")
+    estimated.set_title("estimated objects")
+    fig.suptitle(title)
+    fig.tight_layout()
+    return fig

@@ -1,0 +1,183 @@
+"""Several objects on one table or floor, some of a category and some of none, with the truth about each."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from omad.data.procedural import generate
+from omad.data.procedural.shapes import box
+from omad.geometry.camera import STANDARD_CAMERA, Camera
+from omad.geometry.mesh import Mesh, merge_meshes
+from omad.geometry.rigid import box as bounds
+from omad.geometry.rigid import carry, rigid
+from omad.objects.category_file import get_category
+
+from .depth_noise import NoiseLevel, add_noise
+from .rasteriser import rasterise
+from .spoils.scenes import in_front
+from .spoils.things import simple_thing
+from .viewpoints import pose_before
+
+OBJECTS = (3, 6)
+"""On one table."""
+OTHERS = 0.4
+"""Share of them that are boxes and cans, half of them at most."""
+ELEVATION = np.radians((20.0, 50.0))
+"""Of the camera over the table."""
+CLEARANCE = 0.15
+"""Between two objects' footprints at least, as a share of the larger one's radius."""
+CROWDED = 1.15
+"""The table's radius grows by this factor until one more object has a place on it."""
+FILLS = 0.85
+"""Of the image's width or height, by the objects."""
+SEEN, MIN_PIXELS = 0.6, 500
+"""An object is there to be found where this share of it is seen, and so many pixels."""
+
+
+@dataclass(frozen=True)
+class Placed:
+    """One object where it stands."""
+
+    category: str | None
+    """None: a box or a can."""
+    mask: np.ndarray
+    """(H, W) bool, the pixels that show it, measured or not."""
+    states: np.ndarray
+    """(J,) radians or metres at the size it has here; of other things (0,)."""
+    visible: float
+    """Share of it that nothing hides and no border cuts off."""
+
+    @property
+    def to_be_found(self) -> bool:
+        """Whether enough of it is seen."""
+        return bool(self.visible >= SEEN and np.count_nonzero(self.mask) >= MIN_PIXELS)
+
+
+@dataclass(frozen=True)
+class Tabletop:
+    """A depth image of several objects, and what they are."""
+
+    depth: np.ndarray
+    """(H, W) float32 metres, 0 = no measurement."""
+    camera: Camera
+    objects: tuple[Placed, ...]
+
+
+@dataclass(frozen=True)
+class _Thing:
+    category: str | None
+    states: np.ndarray
+    mesh: Mesh
+    """Its foot at y = 0, its middle on the y axis, metres."""
+
+    @property
+    def radius(self) -> float:
+        """Of its footprint."""
+        return float(np.linalg.norm(self.mesh.vertices[:, [0, 2]], axis=1).max())
+
+
+def draw_tabletop(
+    categories: Sequence[str],
+    seed: Sequence[int],
+    split: Literal["train", "test"] = "test",
+    noise: NoiseLevel | None = None,
+    largest: float = np.inf,
+    camera: Camera = STANDARD_CAMERA,
+) -> Tabletop:
+    """Objects of ``categories`` beside boxes and cans on a board; the same for the same arguments. Objects have their
+    real sizes, but for those with a diagonal of more than ``largest`` metres, which are shrunk to that; ``split`` is
+    that of ``generate``, ``seed`` any non-negative integers."""
+    rng = np.random.default_rng(list(seed))
+    count = int(rng.integers(*OBJECTS, endpoint=True))
+    others = min(int(rng.binomial(count, OTHERS)), count // 2)
+    things = [_of_category(str(rng.choice(list(categories))), split, largest, rng) for _ in range(count - others)]
+    sizes = [float(np.linalg.norm(np.ptp(thing.mesh.vertices, axis=0))) for thing in things]
+    for _ in range(others):
+        mesh = _standing(simple_thing(rng), rng.uniform(0, 2 * np.pi), float(rng.choice(sizes)) * rng.uniform(0.3, 1))
+        things.append(_Thing(None, np.zeros(0), mesh))
+    placed = [
+        thing.mesh.warped(lambda vertices, at=at: vertices + at)
+        for thing, at in zip(things, _places(things, rng), strict=True)
+    ]
+    return _seen(things, placed, camera, noise, rng)
+
+
+def _of_category(name: str, split: Literal["train", "test"], largest: float, rng: np.random.Generator) -> _Thing:
+    category = get_category(name)
+    model = generate(category, int(rng.integers(2**31)), split, int(rng.integers(2**31)))
+    states = rng.uniform(*model.limits.T)
+    mesh = merge_meshes(model.posed(states))
+    size = float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
+    turn = rng.uniform(-category.views.azimuth, category.views.azimuth)
+    slides = [joint.motion.slide != 0 for joint in category.joints]
+    shrunk = np.where(slides, min(largest / size, 1.0), 1.0)
+    return _Thing(name, states * shrunk, _standing(mesh, turn, min(size, largest)))
+
+
+def _standing(mesh: Mesh, turn: float, diagonal: float) -> Mesh:
+    """Turned about y, its foot at y = 0 and its middle on the y axis; ``diagonal`` is that of its box before."""
+    size = diagonal / float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
+    mesh = mesh.carried(rigid(Rotation.from_rotvec([0, turn, 0]).as_matrix(), np.zeros(3)))
+    low, high = bounds(mesh.vertices)
+    foot = np.array([(low[0] + high[0]) / 2, low[1], (low[2] + high[2]) / 2])
+    return mesh.warped(lambda vertices: (vertices - foot) * size)
+
+
+def _places(things: Sequence[_Thing], rng: np.random.Generator) -> list[np.ndarray]:
+    """(3,) each, near to each other and clear of each other."""
+    places: list[np.ndarray] = []
+    reach = things[0].radius
+    for thing in things:
+        while True:
+            at = reach * np.array([rng.uniform(-1.3, 1.3), 0.0, rng.uniform(-1, 1)])
+            before = zip(things, places, strict=False)
+            if all(np.linalg.norm(at - other) > _apart(thing, one) for one, other in before):
+                break
+            reach *= CROWDED
+        places.append(at)
+    return places
+
+
+def _apart(one: _Thing, other: _Thing) -> float:
+    return one.radius + other.radius + CLEARANCE * max(one.radius, other.radius)
+
+
+def _seen(
+    things: Sequence[_Thing], placed: Sequence[Mesh], camera: Camera, noise: NoiseLevel | None, rng: np.random.Generator
+) -> Tabletop:
+    everything = np.concatenate([mesh.vertices for mesh in placed])
+    low, high = bounds(everything)
+    size = float(np.linalg.norm(high - low))
+    around = box((low[0] - size, -0.05 * size, low[2] - size), (high[0] + size, 0.0, high[2] + size))
+    pose = _framing(everything, camera, rng.uniform(*ELEVATION), rng.uniform(-0.15, 0.15) * np.pi)
+    shown = around.carried(pose)
+    merged = rasterise(shown.vertices, shown.faces, np.zeros(len(shown.faces), dtype=np.uint8), camera)
+    alone = []
+    for number, mesh in enumerate(placed, 1):
+        shown = mesh.carried(pose)
+        alone.append(rasterise(shown.vertices, shown.faces, np.full(len(shown.faces), number, np.uint8), camera))
+        merged = in_front(alone[-1], merged)
+    objects = []
+    for number, (thing, layer) in enumerate(zip(things, alone, strict=True), 1):
+        mask = merged.labels == number
+        share = np.count_nonzero(mask) / max(np.count_nonzero(layer.depth), 1)
+        objects.append(Placed(thing.category, mask, thing.states, share))
+    return Tabletop(add_noise(merged.depth, noise, camera, rng, merged.cos_view), camera, tuple(objects))
+
+
+def _framing(points: np.ndarray, camera: Camera, elevation: float, azimuth: float) -> np.ndarray:
+    """T_camera_world (4, 4) of the camera from which ``points`` (V, 3) just fill the image."""
+    centre = bounds(points).mean(0)
+    near, far = 0.0, 20 * float(np.linalg.norm(np.ptp(points, axis=0)))
+    for _ in range(30):
+        distance = (near + far) / 2
+        x, y, z = carry(pose_before(distance, azimuth, elevation, centre), points).T
+        fits = (
+            z.min() > 0
+            and max(np.ptp(x / z) * camera.fx / camera.width, np.ptp(y / z) * camera.fy / camera.height) < FILLS
+        )
+        near, far = (near, distance) if fits else (distance, far)
+    return pose_before(far, azimuth, elevation, centre)

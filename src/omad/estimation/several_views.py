@@ -1,0 +1,121 @@
+"""Several views of one object at one moment, fitted together: the least squares have the keypoints of all views.
+
+    1. each view is fitted alone; the answer that explains all views best is where the fit of all starts
+    2. views that contradict it, seen the wrong way round say, are left out; the others' keypoints are targets together
+
+The estimator does so after each look, so that the second look at every view is in the frame that most agree on.
+
+Views of one object err alike, for it is the same object: from five degrees further a network takes a thin screen for a
+thick one again. A view counts as 1 / (sum of its errors' correlations with those of all views, itself included): views
+from one place count as one, and the covariance shrinks by no more than further views tell.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from omad.common.arrays import as_numpy
+from omad.common.errors import InputError
+from omad.geometry.transforms import invert_transform, transform_points, vector_angle
+from omad.model.fitting.state import Refined, State, Targets
+from omad.model.prior import OmadPrior
+
+from .checks import Check
+from .estimate import Estimate
+
+SHARED = 0.5
+"""Correlation of the joint states' errors of views from quite different sides: what comes from the object."""
+APART = 35.0
+"""Degrees between two views at which what else they have in common has fallen to 1 / e. Both for noisy views of unseen
+procedural objects (``benchmarks/bench_several_views.py``): over five categories, errors of views less than 20 degrees
+apart correlate by 0.79, of those 20 to 40, 40 to 60, and 60 to 90 degrees apart by 0.75, 0.66 and 0.63."""
+CONTRADICTS = 0.2
+"""Median distance of a view's keypoints from where an answer has them, category units, from which on both cannot be
+right; 0.02 to 0.06 is usual."""
+
+
+@dataclass(frozen=True)
+class Rig:
+    """Where the cameras of V views are."""
+
+    T_first_camera: Tensor
+    """(V, 4, 4) category units."""
+
+    @classmethod
+    def of(cls, T_world_camera: Any, views: int, metres_per_unit: float, like: Tensor) -> Rig:
+        """Of poses (V, 4, 4) in any one frame, in metres; dtype and device are those of ``like``. Raises InputError for
+        another shape and for what is no rigid transform."""
+        poses = np.array(as_numpy(T_world_camera), dtype=np.float64)
+        if poses.shape != (views, 4, 4):
+            raise InputError(f"T_world_camera: shape {poses.shape} is wrong; give ({views}, 4, 4), one for each view")
+        for number, T in enumerate(poses, 1):
+            rotation, last = T[:3, :3], T[3]
+            rigid = np.isfinite(T).all() and np.allclose(last, [0, 0, 0, 1]) and np.linalg.det(rotation) > 0
+            if not rigid or not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3):
+                raise InputError(f"T_world_camera: that of view {number} is no rotation and translation; correct it")
+        relative = np.linalg.inv(poses[0]) @ poses
+        relative[:, :3, 3] /= metres_per_unit
+        return cls(torch.as_tensor(relative).to(like))
+
+    def in_first(self, state: State) -> State:
+        """States of V camera frames in the first camera's."""
+        return replace(state, T_camera_base=self.T_first_camera @ state.T_camera_base)
+
+    def carried(self, targets: Targets) -> Targets:
+        """Targets (V, M) of V camera frames in the first camera's."""
+        return replace(targets, keypoints=transform_points(self.T_first_camera, targets.keypoints))
+
+    def together(self, seen: Targets, keypoints: Tensor) -> tuple[Tensor, Targets]:
+        """Of answers to each view alone, their ``keypoints`` (V, M, 3), the index (1,) of the one that explains all
+        views best; and what is ``seen`` (V, M), all in the first camera's frame, as targets (1, M V) of one fit: every
+        keypoint V times in turn, without the views that contradict this answer."""
+        apart = (keypoints[:, None] - seen.keypoints).norm(dim=-1)
+        cost = (seen.weights.sqrt() * apart).sum((1, 2))
+        best = cost.nan_to_num(torch.inf).argmin(keepdim=True)
+        agree = (apart[best[0]].median(-1).values < CONTRADICTS).to(cost)
+        agree[best] = 1.0
+        lines = keypoints[best].mean(1) - self.T_first_camera[:, :3, 3]
+        shared = (correlation(vector_angle(lines[:, None], lines[None])) * agree).sum(1, keepdim=True)
+        weights = seen.weights * agree[:, None] / shared
+        return best, Targets(seen.keypoints.transpose(0, 1).reshape(1, -1, 3), weights.mT.reshape(1, -1))
+
+    def each(self, found: Refined, prior: OmadPrior, targets: Targets) -> Refined:
+        """An answer (a batch of one) in the first camera's frame in those of all cameras, with its distances from each
+        view's own targets (V, M)."""
+        one, views, T = found.state, len(self.T_first_camera), invert_transform(self.T_first_camera)
+        turn = torch.eye(found.covariance.shape[-1]).to(found.covariance).repeat(views, 1, 1)
+        turn[:, :3, :3] = turn[:, 3:6, 3:6] = T[:, :3, :3].to(turn)
+        state = State(one.beta.expand(views, -1), one.joint_states.expand(views, -1), T @ one.T_camera_base)
+        points = prior.deform(state.beta, state.joint_states, state.T_camera_base)
+        ends = found.converged.expand(views), found.iterations.expand(views)
+        return Refined.of(state, points, targets, turn @ found.covariance @ turn.mT, *ends)
+
+
+def correlation(angle: Tensor) -> Tensor:
+    """Of the errors of two views from directions ``angle`` (radians) apart."""
+    return SHARED + (1 - SHARED) * (-angle.rad2deg() / APART).exp()
+
+
+def one_answer(estimates: Sequence[Estimate]) -> list[Estimate]:
+    """The estimates of all views, each with the warnings of all, and a further one where a view contradicts them."""
+    found = [(*estimate.warnings, *map(str, contradictions(estimate))) for estimate in estimates]
+    warnings = tuple(f"view {number}: {warning}" for number, own in enumerate(found, 1) for warning in own)
+    return [replace(estimate, warnings=warnings) for estimate in estimates]
+
+
+def contradictions(estimate: Estimate) -> Iterator[Check]:
+    """Where the keypoints of one of several views, whose ``estimate`` this is, are elsewhere."""
+    apart = float(np.median(np.linalg.norm(estimate.keypoints - estimate.observed_keypoints, axis=1)))
+    if apart >= CONTRADICTS * estimate.category.metres_per_unit:
+        yield Check(
+            "views",
+            f"half of its keypoints are {1000 * apart:.0f} mm or more from where the answer to all views has them",
+            "its T_world_camera may be wrong, the object may have moved, or the network sees another side of it",
+            "see that T_world_camera takes camera to world coordinates, in metres; leave the view out, or add others",
+        )

@@ -1,0 +1,139 @@
+"""Things in a cloud: points whose voxels touch."""
+
+from dataclasses import dataclass
+from itertools import product
+from typing import Self
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from omad.common.compiled import inner, jit
+
+VOXEL = 0.02
+"""Cluster resolution as a share of the median distance: what is nearer than about twice this is one thing."""
+SPARSE = 0.1
+"""Voxels with fewer points than this share of the median hold noise."""
+GAP = 0.1
+"""Clusters this near to the chosen one, as a share of its size, are parts of it."""
+FINE = 0.012
+"""As VOXEL, where all things are wanted: neighbours are not to be run together, and pieces find their thing anyway."""
+PIECE = 0.6
+"""What is smaller than this share of a thing and near to it is a piece of it."""
+
+
+def prominent_cluster(points: np.ndarray, distance: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, float]:
+    """(N,) bool of the heaviest cluster with its outlying pieces, and the next one's weight as a share of its own, in
+    a cloud (3, N) with the ``distance`` of each point from the camera. A cluster's weight is its squared size times the
+    mean of its points' ``weights``."""
+    if not len(distance):
+        return np.zeros(0, dtype=bool), 0.0
+    voxels = _Voxels.of(points, VOXEL * float(np.median(distance)))
+    cells, cell_of = voxels.cells, voxels.cell_of
+    count = np.bincount(cell_of)
+    dense = count >= SPARSE * np.median(count[cell_of])
+    labels = _touching(voxels.keys, voxels.steps, dense)
+    # size counts, not points: glasses seen from their edge are as much a thing as the box beside them
+    central = np.bincount(labels, np.bincount(cell_of, weights) * dense)
+    central /= np.maximum(np.bincount(labels, count * dense), 1)
+    low, high = np.tile([[[cells.max()]], [[cells.min()]]], (1, len(central), 3))
+    np.minimum.at(low, labels, cells)
+    np.maximum.at(high, labels, cells)
+    weight = central * np.square(high - low + 1.0).sum(1)
+    best = int(weight.argmax())
+
+    core = cells[labels == best]
+    reach = max(GAP * float(np.linalg.norm(np.ptp(core, axis=0))), 1.8)
+    others = np.flatnonzero(dense & (labels != best))
+    away, _ = KDTree(core).query(cells[others], distance_upper_bound=reach)
+    pieces = np.unique(labels[others[np.isfinite(away)]])
+    weight[pieces] = 0.0
+    rival = float(np.delete(weight, best).max(initial=0.0) / max(weight[best], 1e-300))
+    return (np.isin(labels, [best, *pieces]) & dense)[cell_of], rival
+
+
+def all_clusters(points: np.ndarray, distance: np.ndarray, least: int) -> list[np.ndarray]:
+    """Indices of the points of every thing of at least ``least`` points, the largest first, in a cloud (3, N) with the
+    ``distance`` of each point from the camera. What is near to something much larger belongs to that."""
+    if not len(distance):
+        return []
+    voxels = _Voxels.of(points, FINE * float(np.median(distance)))
+    count = np.bincount(voxels.cell_of)
+    dense = count >= SPARSE * np.median(count[voxels.cell_of])
+    labels = _touching(voxels.keys, voxels.steps, dense)
+    kept = dense & (np.bincount(labels, count)[labels] >= least / 10)
+    size = np.zeros(labels.max() + 1)
+    for label in np.unique(labels[kept]):
+        size[label] = np.linalg.norm(np.ptp(voxels.cells[kept & (labels == label)], axis=0) + 1.0)
+    owner = np.full(len(size), -1)
+    for core in np.argsort(-size, kind="stable")[: np.count_nonzero(size)]:
+        if owner[core] >= 0:
+            continue
+        owner[core] = core
+        others = np.flatnonzero(kept & (owner[labels] < 0) & (size[labels] < PIECE * size[core]))
+        away, _ = KDTree(voxels.cells[kept & (labels == core)]).query(
+            voxels.cells[others], distance_upper_bound=max(GAP * float(size[core]), 1.8)
+        )
+        owner[labels[others[np.isfinite(away)]]] = core
+    of_point = np.where(kept, owner[labels], -1)[voxels.cell_of]
+    things = [np.flatnonzero(of_point == core) for core in np.flatnonzero(owner == np.arange(len(owner)))]
+    return sorted((thing for thing in things if len(thing) >= least), key=len, reverse=True)
+
+
+@dataclass(frozen=True)
+class _Voxels:
+    """The V voxels that hold points, by their keys: numbers in the order of x, then y, then z."""
+
+    cells: np.ndarray
+    """(V, 3) int64."""
+    cell_of: np.ndarray
+    """(N,) the voxel each point is in."""
+    keys: np.ndarray
+    """(V,) int64, ascending."""
+    steps: np.ndarray
+    """(13,) from a voxel's key to those of its face, edge and corner neighbours with greater keys."""
+
+    @classmethod
+    def of(cls, points: np.ndarray, size: float) -> Self:
+        """Of edge ``size``, for points (3, N). Only where a row of pixels goes from one voxel into the next is anything
+        sorted."""
+        cell = np.floor(points / size).astype(np.int64)
+        cell -= cell.min(1, keepdims=True)
+        width, depth = cell[1:].max(1) + 2  # with an empty one beside the last: a step never leads into the next row
+        along = np.array([width * depth, depth, 1])
+        key = along @ cell
+        starts = np.flatnonzero(np.diff(key, prepend=-1))
+        keys, first, of_run = np.unique(key[starts], return_index=True, return_inverse=True)
+        steps = np.array(list(product((-1, 0, 1), repeat=3))) @ along
+        cell_of = np.repeat(of_run, np.diff(starts, append=len(key)))
+        return cls(cell.T[starts[first]], cell_of, keys, steps[steps > 0])
+
+
+@jit
+def _touching(keys, steps, dense):
+    """(V,) number of the thing each voxel belongs to: those that are dense and touch have the same one."""
+    root = np.arange(len(keys))
+    for step in steps:
+        other = 0
+        for i in range(len(keys)):
+            while other < len(keys) and keys[other] < keys[i] + step:
+                other += 1
+            if other < len(keys) and keys[other] == keys[i] + step and dense[i] and dense[other]:
+                a, b = _root(root, i), _root(root, other)
+                root[max(a, b)] = min(a, b)
+    labels, things = np.empty_like(root), 0
+    for i in range(len(keys)):
+        first = _root(root, i)
+        if first == i:
+            labels[i] = things
+            things += 1
+        else:
+            labels[i] = labels[first]
+    return labels
+
+
+@inner
+def _root(root, i):
+    while root[i] != i:
+        root[i] = root[root[i]]
+        i = root[i]
+    return i

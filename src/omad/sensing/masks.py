@@ -1,0 +1,149 @@
+"""Masks as people have them: booleans, label images, probabilities, cut-out pictures, COCO's run lengths and polygons.
+
+COCO's run lengths are those of pycocotools (Lin et al., "Microsoft COCO", 2014).
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from omad.common.arrays import as_numpy
+from omad.common.errors import InputError
+
+INSIDE = 0.5
+"""A pixel with at least this probability is the object's."""
+OPAQUE = 128
+"""A pixel with at least this alpha, of 255, is the object's."""
+LISTED = 12
+"""Ids that an error lists at most."""
+
+
+def as_mask(values: Any, mask_id: int | None = None) -> np.ndarray:
+    """(H, W) bool of what stands for a mask:
+
+    - numbers (H, W), (1, H, W) or (H, W, 1), NumPy or torch: what is not zero, or with ``mask_id`` what has that
+      number. Floats between 0 and 1 are probabilities, and one half is enough;
+    - colours (H, W, 3): what is not black. (H, W, 4): where the alpha channel varies it is the mask, else the colours;
+    - a COCO segmentation, a mapping with ``size`` (H, W) and ``counts``, compressed or not, or ``polygons``, rows of
+      x, y, x, y ... in pixels; or an annotation that has it under ``segmentation``.
+
+    Raises InputError for logits, for several masks in one, and for what is none of these."""
+    if isinstance(values, Mapping):
+        return _decoded(values)
+    try:
+        stored = as_numpy(values)
+    except (TypeError, ValueError, RuntimeError) as error:  # ragged lists
+        raise InputError("mask: cannot be read as an array; pass (H, W) of booleans or numbers") from error
+    if stored.dtype.kind not in "biuf":
+        raise InputError(f"mask: dtype {stored.dtype} is no mask; pass (H, W) of booleans or numbers")
+    if stored.ndim == 3 and stored.shape[-1] in (3, 4) and stored.shape[0] > 1:
+        stored = _of_colours(stored) if mask_id is None else _one_channel(stored)
+    stored = stored[0] if stored.ndim == 3 and stored.shape[0] == 1 else stored
+    stored = stored[..., 0] if stored.ndim == 3 and stored.shape[-1] == 1 else stored
+    if stored.ndim == 3:
+        raise InputError(f"mask: shape {stored.shape} holds {stored.shape[0]} masks; pass one of them, mask[0] say")
+    if stored.ndim != 2:
+        raise InputError(f"mask: a mask needs shape (H, W), got {stored.shape}")
+    if mask_id is not None:
+        return _labelled(stored, mask_id)
+    if stored.dtype.kind == "f":
+        return _likely(stored)
+    return stored if stored.dtype == bool else stored != 0
+
+
+def _of_colours(image: np.ndarray) -> np.ndarray:
+    """Alpha where it tells pixels apart, else what is not black."""
+    colours, alpha = image[..., :3], image[..., 3:]
+    if alpha.size and alpha.min() < alpha.max():
+        opaque = OPAQUE if image.dtype.kind in "iu" and alpha.max() > 1 else INSIDE
+        return np.greater_equal(alpha[..., 0], opaque)
+    return np.asarray(colours.any(-1))
+
+
+def _one_channel(image: np.ndarray) -> np.ndarray:
+    """Of a grey image that is stored as colours."""
+    if (image[..., :3] != image[..., :1]).any():
+        raise InputError("mask: a coloured image holds no ids; give a label image of one channel, or a palette's")
+    return image[..., 0]
+
+
+def _labelled(labels: np.ndarray, mask_id: int) -> np.ndarray:
+    found = labels == mask_id
+    if not found.any():
+        ids = np.unique(labels)
+        listed = ", ".join(f"{number:g}" for number in ids[:LISTED]) + (", ..." if len(ids) > LISTED else "")
+        raise InputError(f"mask: no pixel has the id {mask_id}; there are {listed}")
+    return found
+
+
+def _likely(values: np.ndarray) -> np.ndarray:
+    """Of floats: probabilities, or zero and one other number."""
+    low, high = values.min(initial=0), values.max(initial=0)
+    if low >= 0 and high <= 1:  # false for NaN, too
+        return values >= INSIDE
+    if low == 0 and ((values == 0) | (values == high)).all():
+        return values != 0
+    raise InputError(f"mask: floats from {low:.3g} to {high:.3g} look like logits; pass mask > 0 of logits")
+
+
+def _decoded(coco: Mapping[str, Any]) -> np.ndarray:
+    """(H, W) bool of a COCO segmentation or annotation."""
+    found = coco.get("segmentation", coco)
+    if not isinstance(found, Mapping):
+        found = {"polygons": found, "size": coco.get("size", ())}
+    size = np.asarray(found.get("size", ()), dtype=object).ravel().tolist()
+    if len(size) != 2 or not all(isinstance(side, int) and side > 0 for side in size):
+        raise InputError('mask: a COCO segmentation needs "size": [height, width], beside "counts" or "polygons"')
+    height, width = size
+    if "polygons" in found:
+        return _filled(found["polygons"], height, width)
+    if "counts" not in found:
+        raise InputError('mask: a COCO segmentation needs "counts" or "polygons"; give one annotation of a file')
+    return decode_runs(found["counts"], height, width)
+
+
+def decode_runs(counts: str | bytes | Sequence[int], height: int, width: int) -> np.ndarray:
+    """(H, W) bool of COCO run lengths, column by column, the first of what is not the object; as a list of numbers, or
+    as the string that they are compressed to. Raises InputError where they do not fill the image."""
+    runs = np.asarray(_decompressed(counts) if isinstance(counts, str | bytes) else counts)
+    if runs.dtype.kind not in "iu" or runs.ndim != 1 or runs.min(initial=0) < 0 or runs.sum() != height * width:
+        raise InputError(f'mask: "counts" are no run lengths of {width}x{height} pixels; is "size" [height, width]?')
+    return np.repeat(np.arange(len(runs)) % 2 == 1, runs).reshape(width, height).T
+
+
+def _decompressed(text: str | bytes) -> list[int]:
+    """Run lengths of a string: characters from "0" on hold five bits each, the least significant first, and a sixth
+    that says that more follow. From the fourth run on it is the difference to the run two before that is written."""
+    codes = text.encode("latin-1", "replace") if isinstance(text, str) else text
+    runs: list[int] = []
+    value = shift = 0
+    for code in codes:
+        bits = code - 48
+        value |= (bits & 31) << shift
+        shift += 5
+        if bits & 32:
+            continue
+        if bits & 16:
+            value -= 1 << shift
+        runs.append(value + runs[-2] if len(runs) > 2 else value)
+        value = shift = 0
+    return runs
+
+
+def _filled(polygons: Any, height: int, width: int) -> np.ndarray:
+    """(H, W) bool, pixels whose centres are inside any of the polygons; pixel (0, 0) reaches from 0 to 1."""
+    filled = np.zeros((height, width), dtype=bool)
+    x, y = np.arange(width) + 0.5, np.arange(height) + 0.5
+    for polygon in polygons:
+        corners = np.asarray(polygon, dtype=float).ravel()
+        if len(corners) < 6 or len(corners) % 2:
+            raise InputError(f"mask: a polygon of {len(corners)} numbers; give x, y, x, y ... of three corners or more")
+        inside = np.zeros_like(filled)
+        starts = corners.reshape(-1, 2)
+        for (x0, y0), (x1, y1) in zip(starts, np.roll(starts, -1, axis=0), strict=True):
+            rows = (y0 <= y) != (y1 <= y)
+            crossing = x0 + (y[rows] - y0) * (x1 - x0) / (y1 - y0 or 1.0)
+            inside[rows] ^= x < crossing[:, None]
+        filled |= inside
+    return filled

@@ -1,0 +1,260 @@
+"""Many images: the answers of single calls, in order, in bounded memory, from every source, in spite of bad ones."""
+
+import json
+import sys
+from dataclasses import replace
+from functools import cache
+from itertools import count, islice
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import omad
+from helpers.command_line import laptop_view
+from helpers.pages import blocks
+from omad import Estimator, Frame, InputError, Observation, estimate_stream
+from omad.applications.bulk import stream
+from omad.applications.bulk.results import Results
+from omad.applications.bulk.sources import open_sources
+from omad.sensing.input_options import InputOptions
+
+K = "600,600,319.5,239.5"
+NUMBERS = tuple(map(float, K.split(",")))
+READING = InputOptions(intrinsics=K)
+
+
+@cache
+def estimator() -> Estimator:
+    return Estimator.from_pretrained("laptop", "cpu")
+
+
+@cache
+def depths() -> np.ndarray:
+    """(6, 480, 640) uint16 millimetres: one view moved about, so that answers differ."""
+    depth = np.rint(laptop_view().depth * 1000).astype(np.uint16)
+    return np.stack([np.roll(depth, (3 * i, -5 * i), (0, 1)) for i in range(6)])
+
+
+def masks() -> np.ndarray:
+    """(6, 480, 640) bool: without some columns of the object."""
+    return (depths() > 0) & (np.arange(640) % 7 > 0)
+
+
+def observation(i: int, masked: bool = False) -> Observation:
+    depth = (depths()[i] * 0.001).astype(np.float32)
+    return Observation.from_depth(depth, NUMBERS, masks()[i] if masked else None)
+
+
+@cache
+def alone(i: int, masked: bool = False) -> omad.Estimate:
+    return estimator()(observation(i, masked))
+
+
+def assert_same(outcomes: list[stream.Outcome], masked: bool = False) -> None:
+    """As single calls answer."""
+    assert [outcome.refused for outcome in outcomes] == [None] * len(outcomes)
+    for i, outcome in enumerate(outcomes):
+        found, expected = outcome.estimate, alone(i, masked)
+        assert found is not None
+        assert found.joint_states == pytest.approx(expected.joint_states, abs=1e-6)
+        assert found.T_camera_base == pytest.approx(expected.T_camera_base, abs=1e-6)
+        assert found.beta == pytest.approx(expected.beta, abs=1e-5)
+
+
+def test_answers_are_those_of_single_calls_in_order():
+    outcomes = list(estimate_stream(estimator(), map(observation, range(6)), workers=3, batch=1))
+    assert [outcome.name for outcome in outcomes] == list("012345")
+    assert_same(outcomes)
+    assert_same(list(estimate_stream(estimator(), map(observation, range(6)), workers=2, batch=4)))
+
+
+def test_a_bad_frame_is_told_of_in_its_place():
+    def fails() -> Observation:
+        raise RuntimeError("the cable\nis loose")
+
+    depth = (depths()[0] * 0.001).astype(np.float32)
+    frames = [
+        Frame.of_depth("good", depth, NUMBERS),
+        Frame.of_depth("empty", np.zeros((480, 640), np.float32), NUMBERS),
+        Frame("loose", fails),
+        Frame.of_depth("last", depth, NUMBERS, depth > 0),
+    ]
+    outcomes = list(estimate_stream(estimator(), frames, batch=4))
+    assert [outcome.name for outcome in outcomes] == ["good", "empty", "loose", "last"]
+    assert "no pixel holds a measurement" in (outcomes[1].refused or "")
+    assert outcomes[2].refused == "RuntimeError: the cable is loose"
+    assert_same([outcomes[0]])
+    assert_same([outcomes[3]])
+
+
+def test_a_frame_that_spoils_its_batch_is_told_of_alone(monkeypatch):
+    def answered(self, view, *others):
+        views = [view] if isinstance(view, Observation) else view
+        if any("poison" in each.warnings for each in views):
+            raise ValueError("singular")
+        return usual(self, view, *others)
+
+    usual = Estimator.__call__
+    monkeypatch.setattr(Estimator, "__call__", answered)
+    views = [observation(0), replace(observation(1), warnings=("poison",)), observation(2)]
+    outcomes = list(estimate_stream(estimator(), views, batch=3))
+    assert [outcome.refused for outcome in outcomes] == [None, "ValueError: singular", None]
+
+
+def test_frames_are_taken_only_shortly_before_they_are_needed():
+    """So that an endless stream, as of a camera, takes no more memory than a short one."""
+    taken = count()
+
+    def endless():
+        while True:
+            next(taken)
+            yield observation(0)
+
+    outcomes = estimate_stream(estimator(), endless(), workers=2, batch=2)
+    assert len(list(islice(outcomes, 5))) == 5
+    outcomes.close()
+    assert next(taken) <= 5 + (stream.IN_FLIGHT * 2 + 1) * 2
+
+
+@pytest.fixture
+def stored(tmp_path) -> Path:
+    for folder, images in (("depth", depths()), ("mask", masks().astype(np.uint8) * 255)):
+        (tmp_path / folder).mkdir()
+        for i, image in enumerate(images):
+            Image.fromarray(image).save(tmp_path / folder / f"{i}.png")
+    np.save(tmp_path / "stack.npy", depths())
+    np.save(tmp_path / "masks.npy", masks())
+    np.savez(tmp_path / "both.npz", depth=(depths() * 0.001).astype(np.float32), mask=masks())
+    return tmp_path
+
+
+def outcomes_of(source) -> list[stream.Outcome]:
+    return list(estimate_stream(estimator(), source.after(0), batch=6))
+
+
+def test_folders_and_stacks_give_what_single_images_give(stored):
+    folder, stack, both = stored / "depth", stored / "stack.npy", stored / "both.npz"
+    assert_same(outcomes_of(open_sources([folder], READING)))
+    assert_same(outcomes_of(open_sources([folder], replace(READING, mask=stored / "mask"))), masked=True)
+    found = outcomes_of(open_sources([stack], replace(READING, mask=stored / "masks.npy")))
+    assert [outcome.name for outcome in found] == [f"{stack}[{i}]" for i in range(6)]
+    assert_same(found, masked=True)
+    assert_same(outcomes_of(open_sources([both], READING)), masked=True)
+    several = open_sources([folder, stack, folder / "3.png"], READING)
+    assert several.total == 13
+    names = [frame.name for frame in several.after(0)]
+    assert [frame.name for frame in several.after(7)] == names[7:]
+
+
+def columns(form: str) -> dict[str, list]:
+    """Of a Parquet file, with the views in one of its forms."""
+    size = {"height": [480] * 6, "width": [640] * 6}
+    if form == "raw":
+        return {"depth": [d.tobytes() for d in depths()], "mask": [m.tobytes() for m in masks()], **size}
+    if form == "numbers":
+        return {"depth": [d.ravel() * 0.001 for d in depths()], "mask": [m.ravel() for m in masks()], **size}
+    return {"depth": [list(d) for d in depths()], "mask": [list(m) for m in masks()], "intrinsics": [NUMBERS] * 6}
+
+
+def test_parquet_gives_what_single_images_give(stored):
+    parquet, table = pytest.importorskip("pyarrow.parquet"), pytest.importorskip("pyarrow").table
+    file = stored / "views.parquet"
+    for form in ("raw", "numbers", "rows"):
+        parquet.write_table(table(columns(form)), file, row_group_size=4)
+        source = open_sources([file], InputOptions() if form == "rows" else READING)
+        assert_same(outcomes_of(source), masked=True)
+    images = {kind: [(stored / kind / f"{i}.png").read_bytes() for i in range(6)] for kind in ("depth", "mask")}
+    images |= {"intrinsics": [K] * 6, "id": list("abcdef")}
+    parquet.write_table(table(images), file, row_group_size=4)
+    source = open_sources([file])
+    assert source.total == 6
+    assert [frame.name for frame in source.after(0)] == list("abcdef")
+    assert [frame.name for frame in source.after(5)] == ["f"]
+    assert_same(outcomes_of(source), masked=True)
+    images["depth"][2] = b"no image"
+    parquet.write_table(table(images), file)
+    refused = [outcome.refused for outcome in outcomes_of(open_sources([file]))]
+    assert "depth: not readable as an image" in (refused.pop(2) or "")
+    assert refused == [None] * 5
+
+
+@pytest.mark.parametrize(
+    ("inputs", "mask", "reason"),
+    [
+        ([], None, "no input"),
+        (["."], None, "no depth image, cloud or Parquet file"),
+        (["missing.png"], None, "no such file"),
+        (["stack.npy"], "mask", "give a stack of masks"),
+        (["stack.npy"], "few.npy", "that of its masks"),
+        (["depth"], "masks.npy", "is a stack, but"),
+        (["broken.parquet"], None, "not readable as Parquet"),
+        (["other.parquet"], None, "no column depth"),
+    ],
+)
+def test_what_cannot_be_read_at_all_is_said_at_once(stored, inputs, mask, reason):
+    np.save(stored / "few.npy", masks()[:2])
+    (stored / "empty").mkdir()
+    if any(name.endswith(".parquet") for name in inputs):
+        parquet, table = pytest.importorskip("pyarrow.parquet"), pytest.importorskip("pyarrow").table
+        (stored / "broken.parquet").write_bytes(b"PAR1")
+        parquet.write_table(table({"image": [b""]}), stored / "other.parquet")
+    paths = [stored / "empty" if name == "." else stored / name for name in inputs]
+    with pytest.raises(InputError, match=reason):
+        open_sources(paths, replace(READING, mask=None if mask is None else stored / mask))
+
+
+def test_parquet_without_its_package_names_the_extra(stored, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    (stored / "views.parquet").touch()
+    with pytest.raises(InputError, match=r"pip install 'omad\[parquet\]'"):
+        open_sources([stored / "views.parquet"], READING)
+    with pytest.raises(InputError, match=r"pip install 'omad\[parquet\]'"):
+        Results.open(stored / "results.parquet", {})
+
+
+def written(path: Path, outcomes: list[stream.Outcome], cut: int) -> list[dict]:
+    """Rows of a file whose making was ended after ``cut`` outcomes, in the middle of a line, and gone on with."""
+    results = Results.open(path, {"of": "this"})
+    list(results.add(outcomes[:cut]))
+    assert not path.exists()
+    with results.part.open("ab") as file:
+        file.write(b'{"name": "half a l')
+    with pytest.raises(InputError, match="other inputs or settings"):
+        Results.open(path, {"of": "that"})
+    results = Results.open(path, {"of": "this"})
+    assert (results.done, results.last) == (cut, outcomes[cut - 1].name)
+    list(results.add(outcomes[cut:]))
+    results.finish()
+    assert [file.name for file in path.parent.iterdir()] == [path.name]
+    with pytest.raises(InputError, match="is there already"):
+        Results.open(path, {"of": "this"})
+    if path.suffix == ".jsonl":
+        return [json.loads(line) for line in path.read_text().splitlines()]
+    return pytest.importorskip("pyarrow.parquet").read_table(path).to_pylist()
+
+
+@pytest.mark.parametrize("suffix", [".jsonl", ".parquet"])
+def test_results_go_on_where_they_stopped(tmp_path, suffix):
+    if suffix == ".parquet":
+        pytest.importorskip("pyarrow")
+    outcomes = [stream.Outcome(str(i), alone(i)) for i in range(3)]
+    outcomes.insert(1, stream.Outcome("bad", None, "it was dark"))
+    rows = written(tmp_path / "made" / f"results{suffix}", outcomes, 2)
+    assert [row["name"] for row in rows] == ["0", "bad", "1", "2"]
+    assert [row["refused"] for row in rows] == [None, "it was dark", None, None]
+    promised = alone(2).to_dict()
+    for key in ("category", "converged", "residual", "beta", "T_camera_base", "warnings"):
+        assert rows[3][key] == promised[key], key
+    [joint] = rows[3]["joints"]
+    assert {key: joint[key] for key in promised["joints"][0]} == promised["joints"][0]
+    assert rows[3]["T_camera_part"] == [part["T_camera_part"] for part in promised["parts"]]
+
+
+def test_the_page_does_what_it_says(capsys):
+    [code] = blocks(Path(__file__).parents[2] / "docs" / "bulk.md", "python")
+    exec(code, {"depths": [(depth * 0.001).astype(np.float32) for depth in depths()[:2]], "K": NUMBERS})
+    rows = [line.strip("]").split(" [") for line in capsys.readouterr().out.splitlines()]
+    assert [name for name, _ in rows] == ["0", "1"]
+    assert [float(state) for _, state in rows] == pytest.approx([alone(i).joint_states[0] for i in range(2)], abs=1e-6)

@@ -1,0 +1,94 @@
+"""Detection: scenes with truth, answers that are none, a box, and probabilities against their closed form."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.special import softmax
+
+import omad
+from omad.applications.detection.detector import Detection, Detector
+from omad.applications.detection.judgement import Judgement
+from omad.data.rendering.depth_noise import ON
+from omad.data.rendering.tabletop import Placed, Tabletop, draw_tabletop
+
+NAMES = ("laptop", "eyeglasses")
+SCENES = range(4)
+
+
+def scene(index: int) -> Tabletop:
+    return draw_tabletop(NAMES, (index, 5), "test", ON)
+
+
+@cache
+def answers(index: int) -> list[Detection]:
+    drawn = scene(index)
+    return omad.detect(drawn.depth, drawn.camera, NAMES)
+
+
+def shared(found: Detection, placed: Placed) -> float:
+    mask = found.observation.mask
+    assert mask is not None
+    return float((mask & placed.mask).sum() / (mask | placed.mask).sum())
+
+
+def test_most_objects_of_a_table_are_found_and_few_answers_are_false() -> None:
+    there = found = named = right = 0
+    for index in SCENES:
+        objects = scene(index).objects
+        sure = [one for one in answers(index) if one.category is not None]
+        wanted = [placed for placed in objects if placed.category and placed.to_be_found]
+        there, named = there + len(wanted), named + len(sure)
+        found += sum(any(o.category == p.category and shared(o, p) > 0.5 for o in sure) for p in wanted)
+        right += sum(any(o.category == p.category and shared(o, p) > 0.3 for p in objects) for o in sure)
+    assert found >= 0.8 * there
+    assert right >= 0.8 * named
+
+
+def test_every_thing_is_answered_and_says_how_sure_it_is() -> None:
+    for index in SCENES:
+        for one in answers(index):
+            assert sum(one.probabilities.values()) == pytest.approx(1)
+            assert one.probability == one.probabilities[one.category]
+            assert (one.estimate is None) == (one.category is None)
+            pixels, points = one.observation.pixels, one.observation.points
+            assert pixels is not None
+            assert np.allclose(scene(index).camera.project(points), pixels, atol=1e-2)
+            assert one.box == (*pixels.min(0), *(pixels.max(0) + 1))
+        boxes = [placed for placed in scene(index).objects if placed.category is None and placed.to_be_found]
+        assert all(any(shared(one, placed) > 0.5 for one in answers(index)) for placed in boxes)
+
+
+def test_a_box_says_where_to_look() -> None:
+    drawn, whole = scene(0), answers(0)
+    one = whole[0]
+    assert one.box is not None
+    inside = omad.detect(drawn.depth, drawn.camera, NAMES, one.box)
+    assert {found.category for found in inside} >= {one.category}
+    x1, y1, x2, y2 = one.box
+    for found in inside:
+        assert found.observation.mask is not None
+        assert found.observation.mask[y1:y2, x1:x2].sum() == len(found.observation.points)
+
+
+def test_a_cloud_has_no_box() -> None:
+    drawn = scene(0)
+    cloud = omad.Observation.from_points(omad.Observation.from_depth(drawn.depth, drawn.camera).points)
+    detector = Detector([])
+    assert len(detector(cloud)) == len(answers(0))
+    assert all(found.category is None and found.probability == 1 for found in detector(cloud))
+    with pytest.raises(omad.InputError, match="depth image"):
+        detector(cloud, (0, 0, 5, 5))
+
+
+def test_probabilities_are_a_softmax_with_none() -> None:
+    rng = np.random.default_rng(0)
+    weights, evidence = rng.random((2, 6)), rng.random((2, 6))
+    judgement = Judgement({"a": weights[0].tolist(), "c": weights[1].tolist()}, {"a": 1.0, "c": 2.0})
+    found = judgement.probabilities({"a": evidence[0], "own": evidence[1]})
+    expected = softmax([1 - weights[0] @ evidence[0], 1.5 - weights.mean(0) @ evidence[1], 0.0])
+    assert [found["a"], found["own"], found[None]] == pytest.approx(expected.tolist())
+    assert list(found.values()) == sorted(found.values(), reverse=True)
+    assert judgement.probabilities({"a": np.full(6, np.nan)}) == {None: 1.0, "a": 0.0}

@@ -1,0 +1,53 @@
+"""``omad estimate --together``: several images of one object at one moment."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from helpers.command_line import LAPTOP, K, answer, laptop_view, refused, save_png
+from omad.data.procedural import generate
+from omad.data.rendering.standard_views import standard_view
+from omad.objects.category_file import get_category
+
+
+@pytest.fixture
+def images(tmp_path, monkeypatch) -> list[str]:
+    """Two images of the laptop, and where their cameras are in files beside them."""
+    monkeypatch.chdir(tmp_path)
+    category, first = get_category("laptop"), laptop_view()
+    second = standard_view(generate(category, 0, "test"), category, (0, 1001), states=first.states)
+    for name, view in (("a", first), ("b", second)):
+        save_png(f"{name}.png", view.depth)
+        np.savetxt(f"{name}.txt", np.linalg.inv(view.T_camera_base))
+    return ["a.png", "b.png", *LAPTOP, *K]
+
+
+@pytest.mark.slow
+def test_images_of_one_object_get_one_answer(images, capsys):
+    found = answer(capsys, "estimate", *images, "--together", "a.txt", "b.txt")["results"]
+    a, b = found
+    assert a["joints"][0]["state"] == pytest.approx(b["joints"][0]["state"])
+    assert np.allclose(a["world"]["T_world_base"], b["world"]["T_world_base"], atol=1e-5)
+    turned = np.array(a["world"]["T_world_base"])[:3, :3]  # the files' world is the true base
+    assert np.degrees(np.arccos((np.trace(turned) - 1) / 2)) < 5
+    for result in found:
+        assert json.loads((Path(result["output"]) / "estimate.json").read_text())["world"] == result["world"]
+        assert (Path(result["output"]) / "estimate.html").is_file()
+
+
+@pytest.mark.slow
+def test_a_wrong_pose_is_doubtful(images, capsys):
+    T = np.loadtxt("b.txt")
+    np.savetxt("inverted.txt", np.linalg.inv(T))
+    found = answer(capsys, "estimate", *images, "--together", "a.txt", "inverted.txt")["results"]
+    assert "views" in {check["name"] for result in found for check in result["checks"]}
+
+
+def test_what_does_not_go_together_is_refused(images, capsys):
+    assert "1 poses for 2 inputs" in refused(capsys, "estimate", *images, "--together", "a.txt")
+    both = refused(capsys, "estimate", *images, "--together", "a.txt", "b.txt", "--world", "a.txt")
+    assert "leave out --world" in both
+    auto = ["--category", "auto", *K, "--together", "a.txt", "b.txt"]
+    assert "name a category" in refused(capsys, "estimate", "a.png", "b.png", *auto)

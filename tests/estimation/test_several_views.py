@@ -1,0 +1,189 @@
+"""Several views of one object, fitted together: one answer, in every camera's frame, that is worth what they tell."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial.transform import Rotation
+
+import omad
+from omad.data.procedural import generate
+from omad.data.rendering.depth_noise import LEVELS
+from omad.data.rendering.standard_views import View, views_together
+from omad.estimation.estimator import Estimator
+from omad.geometry.rigid import carry, rigid, turned_about
+from omad.model.fitting.energy import RefinementConfig
+from omad.model.fitting.refinement import Refiner
+from omad.model.fitting.state import State, Targets
+
+ELSEWHERE = rigid(Rotation.from_rotvec([0.3, -1.0, 0.4]).as_matrix(), [5.0, -2.0, 1.0])
+
+
+@pytest.fixture(scope="module")
+def estimator() -> Estimator:
+    return Estimator.from_pretrained("laptop", device="cpu")
+
+
+@pytest.fixture(scope="module")
+def views(estimator) -> list[View]:
+    return moment(estimator, 0, 3)
+
+
+def moment(estimator: Estimator, index: int, count: int) -> list[View]:
+    category = estimator.category
+    return views_together(generate(category, index, "test", 23), category, (31, index), count, LEVELS["on"])
+
+
+def observed(views: list[View]) -> tuple[list[omad.Observation], np.ndarray]:
+    """Observations, and where their cameras are."""
+    return [view.observation() for view in views], np.linalg.inv([view.T_camera_base for view in views])
+
+
+def test_views_of_a_moment_show_one_object(views):
+    """Of every view, all seen points lie in the box of the object as the first view has it."""
+    model = generate(omad.get_category("laptop"), 0, "test", 23)
+    vertices = np.concatenate(model.posed_vertices(views[0].states))
+    for view in views:
+        assert (view.states == views[0].states).all()
+        rows, columns = np.nonzero(view.labels != 255)
+        seen = view.camera.backproject(np.stack([columns, rows], 1), view.depth[rows, columns].astype(float))
+        seen = carry(np.linalg.inv(view.T_camera_base), seen)
+        share = ((seen > vertices.min(0) - 0.02) & (seen < vertices.max(0) + 0.02)).all(1).mean()
+        assert share > 0.98
+    assert np.linalg.norm(views[0].T_camera_base - views[1].T_camera_base) > 0.1
+
+
+def test_one_view_gives_what_it_gives_alone(estimator, views):
+    [observation], T = observed(views[:1])
+    alone, [one] = estimator(observation), estimator([observation], T_world_camera=T)
+    assert np.abs(alone.keypoints - one.keypoints).max() < 1e-6
+    assert np.abs(alone.joint_states - one.joint_states).max() < 1e-6
+    assert np.abs(alone.covariance - one.covariance).max() < 1e-6
+    assert alone.warnings == one.warnings
+
+
+def test_one_answer_in_every_cameras_frame(estimator, views):
+    observations, T = observed(views)
+    found = estimator(observations, T_world_camera=T)
+    assert len(found) == 3
+    first = found[0]
+    for estimate, T_world, observation in zip(found, T, observations, strict=True):
+        assert np.allclose(estimate.joint_states, first.joint_states)
+        assert np.allclose(estimate.beta, first.beta)
+        assert np.allclose(carry(T_world, estimate.keypoints), carry(T[0], first.keypoints), atol=1e-5)
+        assert len(estimate.part_labels) == len(observation.points)
+        R = (np.linalg.inv(T_world) @ T[0])[:3, :3]
+        for block in (slice(3), slice(3, 6)):
+            assert np.allclose(estimate.covariance[block, block], R @ first.covariance[block, block] @ R.T, atol=1e-6)
+        assert np.allclose(estimate.covariance[6:, 6:], first.covariance[6:, 6:])
+
+
+def test_only_where_cameras_are_to_each_other_matters(estimator, views):
+    observations, T = observed(views)
+    for one, other in zip(
+        estimator(observations, T_world_camera=T), estimator(observations, T_world_camera=ELSEWHERE @ T), strict=True
+    ):
+        assert np.abs(one.keypoints - other.keypoints).max() < 0.1 * one.keypoint_std.min()
+        assert np.allclose(one.joint_states, other.joint_states, atol=2e-3)
+
+
+def test_a_view_that_is_given_twice_counts_once(estimator, views):
+    [observation], [T] = observed(views[:1])
+    alone, twice = estimator(observation), estimator([observation] * 2, T_world_camera=np.stack([T] * 2))[0]
+    assert np.abs(alone.keypoints - twice.keypoints).max() < 0.1 * alone.keypoint_std.min()
+    assert np.allclose(twice.joints[0].state_std, alone.joints[0].state_std, rtol=0.05)
+
+
+def test_other_sides_make_it_surer(estimator, views):
+    observations, T = observed(views)
+    alone = estimator(observations)
+    together = estimator(observations, T_world_camera=T)[0]
+    assert together.joints[0].state_std < np.mean([estimate.joints[0].state_std for estimate in alone])
+    assert together.joints[0].state_std > np.min([estimate.joints[0].state_std for estimate in alone]) / np.sqrt(3)
+
+
+def test_a_view_from_elsewhere_is_left_out_and_named(estimator, views):
+    observations, T = observed(views)
+    pair = estimator(observations[:2], T_world_camera=T[:2])
+    middle = observations[2].points.mean(0)
+    T[2] = T[2] @ turned_about(Rotation.from_rotvec([0, 0, 2.0]).as_matrix(), middle)
+    found = estimator(observations, T_world_camera=T)
+    assert [warning[:13] for warning in found[0].warnings if "views: " in warning] == ["view 3: views"]
+    assert np.abs(found[0].keypoints - pair[0].keypoints).max() < 0.2 * pair[0].keypoint_std.min()
+    assert np.allclose(found[0].joints[0].state_std, pair[0].joints[0].state_std, rtol=0.05)
+
+
+def test_what_is_no_such_object_still_gets_an_answer(estimator):
+    ball = np.random.default_rng(0).normal(size=(2, 3000, 3))
+    ball = 0.05 * ball / np.linalg.norm(ball, axis=2, keepdims=True) + [0, 0, 1.0]
+    apart = np.stack([np.eye(4), rigid(np.eye(3), [0.0, 0.0, 3.0])])
+    for estimate in estimator([omad.Observation.from_points(points) for points in ball], T_world_camera=apart):
+        assert np.isfinite(estimate.keypoints).all()
+        assert np.isfinite(estimate.covariance).all()
+        assert estimate.warnings
+
+
+def test_gravity_is_the_first_cameras(estimator, views):
+    observations, T = observed(views)
+    down = -views[0].T_camera_base[:3, 1]
+    found = estimator(observations, omad.Known(gravity=down), T_world_camera=T)
+    for estimate, T_world in zip(found, T, strict=True):
+        assert np.allclose((T_world @ estimate.T_camera_base)[:3, 1], [0, 1, 0], atol=1e-5)
+
+
+def test_separate_targets_are_a_weighted_mean_without_robustness(estimator):
+    """Least squares of two sets of targets are those of their mean by weight, with the weights' sum."""
+    prior, generator = estimator.net.prior, torch.Generator().manual_seed(0)
+    M, J, D = prior.num_keypoints, prior.tree.num_joints, prior.basis_size
+    start = State(prior.beta_mean[None], torch.full((1, J), 0.3), torch.eye(4)[None])
+    true = prior.deform(start.beta, start.joint_states + 0.2, start.T_camera_base).detach()
+    seen = true + 0.02 * torch.randn(2, M, 3, generator=generator)
+    weights = 1000 * torch.rand(2, M, generator=generator) + 100
+    config, limits = RefinementConfig(huber=None), torch.tensor([[-2.0, 2.0]] * J)
+    total = weights.sum(0)
+    mean = (weights[..., None] * seen).sum(0) / total[:, None]
+    merged = Refiner(prior, limits, config)(Targets(mean[None], total[None]), start)
+    both = Targets(seen.transpose(0, 1).reshape(1, 2 * M, 3), weights.mT.reshape(1, 2 * M))
+    apart = Refiner(prior.repeated(2), limits, config)(both, start)
+    plain = Refiner(prior.repeated(2), limits, replace(config, backend="torch"))(both, start)
+    for found in (apart, plain):
+        assert torch.allclose(found.state.pack(), merged.state.pack(), atol=2e-5)
+        assert torch.allclose(found.covariance, merged.covariance, rtol=1e-3, atol=1e-8)
+    assert apart.covariance.shape == (1, 6 + J + D, 6 + J + D)
+
+
+@pytest.mark.parametrize("shape", [(3, 4, 4), (4, 4), (2, 3, 4)])
+def test_wrong_shapes_are_named(estimator, views, shape):
+    observations, _ = observed(views[:2])
+    with pytest.raises(omad.InputError, match=r"T_world_camera: shape .* give \(2, 4, 4\)"):
+        estimator(observations, T_world_camera=np.zeros(shape))
+
+
+def test_what_is_no_pose_is_named(estimator, views):
+    observations, T = observed(views[:2])
+    for wrong in (2 * np.eye(4), np.diag([1.0, 1, -1, 1]), np.full((4, 4), np.nan)):
+        with pytest.raises(omad.InputError, match="T_world_camera: that of view 2"):
+            estimator(observations, T_world_camera=np.stack([T[0], wrong]))
+    with pytest.raises(omad.InputError, match="list"):
+        estimator(observations[0], T_world_camera=T[:1])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["laptop", "eyeglasses", "dishwasher", "drawer"])
+def test_three_views_err_less_than_one_and_say_so(name):
+    estimator = Estimator.from_pretrained(name, device="cpu")
+    off, turned, held = ([], []), ([], []), ([], [])
+    for index in range(40):
+        views = moment(estimator, index, 3)
+        observations, T = observed(views)
+        for few, estimates in enumerate([estimator(observations), estimator(observations, T_world_camera=T)]):
+            for estimate, view in zip(estimates, views, strict=True):
+                error = np.abs(estimate.joint_states - view.states)
+                R = Rotation.from_matrix(estimate.T_camera_base[:3, :3].T @ view.T_camera_base[:3, :3])
+                off[few].append(error)
+                turned[few].append(R.magnitude())
+                held[few].append(error < 1.645 * np.array([joint.state_std for joint in estimate.joints]))
+    assert np.mean(off[1]) < 0.95 * np.mean(off[0])
+    assert np.median(turned[1]) < 0.95 * np.median(turned[0])
+    assert np.mean(held[1]) > np.mean(held[0]) - 0.05

@@ -1,0 +1,110 @@
+"""The robustness table against closed forms and against ``omad eval pose`` on the same views."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import omad
+from helpers.categories import DRAWER, LAPTOP
+from omad.data.procedural import generate
+from omad.data.rendering.spoils.spoil import Staging
+from omad.data.rendering.standard_views import standard_views
+from omad.data.source import ViewSource, load_views
+from omad.evaluation.evaluate import evaluate
+from omad.evaluation.metrics import missing_errors
+from omad.evaluation.robustness.experiment import Measured, draw_worst, measure, scenes_from, table
+from omad.evaluation.robustness.rows import CLEAN, ROWS
+
+FEW = {name: ROWS[name] for name in (CLEAN, "hidden-25", "wide-3-wall", "aside-4", "around")}
+
+
+def measured(index: int, states: list[float], std: float, flagged: bool = False, wrong: bool = False) -> Measured:
+    errors = replace(missing_errors(LAPTOP), joint_state=np.array(states), missing=False)
+    return Measured(index, errors, np.full(len(states), std), flagged, wrong)
+
+
+def test_the_table_counts_as_it_says() -> None:
+    degree = np.radians(1)
+    found = {
+        CLEAN: [measured(0, [degree], degree), measured(1, [3 * degree], degree), measured(2, [50 * degree], 1.0)],
+        "steep": [
+            measured(0, [2 * degree], 2 * degree),
+            measured(1, [20 * degree], 2 * degree, flagged=True, wrong=True),
+        ],
+        "below": [measured(0, [12 * degree], 8 * degree, wrong=True)],
+        "around": [],
+    }
+    clean, steep, below = table(found, ROWS, LAPTOP)
+    assert clean["ratio"] == pytest.approx(1)
+    assert clean["joint_state_error_deg"]["mean"] == pytest.approx(18)
+    assert clean["joint_state_error_deg"]["median"] == pytest.approx(3)
+    assert clean["joint_state_error"] is None
+    assert clean["covered"] == pytest.approx(2 / 3)  # 3 of one degree is out of 1.645
+    assert steep["ratio"] == pytest.approx(22 / 4)  # of the same two views
+    assert (steep["flagged"], steep["wrong"], steep["silently_wrong"], steep["views"]) == (0.5, 0.5, 0.0, 2)
+    assert (below["wrong"], below["silently_wrong"], below["covered"]) == (1.0, 1.0, 1.0)
+
+
+def test_lengths_are_metres_and_missing_answers_are_the_worst() -> None:
+    missing = Measured(0, missing_errors(DRAWER), np.full(3, np.nan), True, True)
+    [row] = table({CLEAN: [missing]}, ROWS, DRAWER)
+    assert row["joint_state_error_deg"] is None
+    assert row["joint_state_error"]["mean"] == pytest.approx(DRAWER.metres_per_unit)
+    assert (row["missing"], row["covered"], row["flagged"]) == (1, 0.0, 1.0)
+
+
+@pytest.fixture(scope="module")
+def estimator() -> omad.Estimator:
+    return omad.Estimator.from_pretrained("laptop", "cpu")
+
+
+@pytest.fixture(scope="module")
+def source() -> ViewSource:
+    return load_views("procedural", LAPTOP, 2, 3, 0, False, "refuse")
+
+
+def test_clean_views_are_those_of_eval_pose_and_rows_do_not_depend_on_each_other(estimator, source) -> None:
+    scenes = scenes_from(source, LAPTOP, 0)
+    found = measure(estimator, scenes, 3, FEW)
+    models = [generate(LAPTOP, index, "test") for index in range(2)]
+    for each, result in zip(found[CLEAN], evaluate(estimator, standard_views(models, LAPTOP, 3)), strict=True):
+        assert each.errors.joint_state == pytest.approx(result.refined.joint_state, abs=1e-6)
+        # a covariance turns another batch's rounding into per cents where the fit is flat
+        assert each.state_std == pytest.approx([j.state_std for j in result.estimate.joints], rel=0.05)
+    alone = measure(estimator, scenes, 3, {name: FEW[name] for name in (CLEAN, "aside-4")})
+    for one, other in zip(found["aside-4"], alone["aside-4"], strict=True):
+        assert one.errors.joint_state == pytest.approx(other.errors.joint_state, abs=1e-6)
+        assert one.flagged == other.flagged
+    assert [each.index for each in found["around"]] == [0, 1, 2]
+
+
+def test_each_scene_is_rendered_once(estimator, source) -> None:
+    asked: list[tuple[int, Staging]] = []
+    scenes = scenes_from(source, LAPTOP, 0)
+
+    def counted(index: int, staging: Staging):
+        asked.append((index, staging))
+        return scenes(index, staging)
+
+    measure(estimator, counted, 2, FEW)
+    assert len(asked) == len(set(asked)) == 2 * len({row.spoil.staging for row in FEW.values()})
+
+
+def test_images_are_spoilt_as_models_are_but_not_seen_from_elsewhere(estimator, source, tmp_path: Path) -> None:
+    images = replace(source, views=list(standard_views(source.models, LAPTOP, 3)), models=())
+    scenes = scenes_from(images, LAPTOP, 0)
+    found = measure(estimator, scenes, 3, FEW)
+    assert {name: len(each) for name, each in found.items()} == dict.fromkeys(FEW, 3) | {"around": 0}
+    rendered = measure(estimator, scenes_from(source, LAPTOP, 0), 3, {CLEAN: ROWS[CLEAN]})
+    for one, other in zip(found[CLEAN], rendered[CLEAN], strict=True):
+        assert one.errors.joint_state == pytest.approx(other.errors.joint_state, abs=1e-6)
+    paths = draw_worst(estimator, scenes, found, FEW, tmp_path)
+    assert {Path(path).stem for path in paths} == {name for name in FEW if name != "around"}
+    assert all(Path(path).stat().st_size > 10_000 for path in paths)
+
+
+def test_every_row_says_what_it_is_and_no_two_are_alike() -> None:
+    assert all(row.what for row in ROWS.values())
+    assert len({row.spoil for row in ROWS.values()}) == len(ROWS)

@@ -1,0 +1,125 @@
+"""Masks in every form that people have them in, and the cure where it is none. COCO's strings are pycocotools' own."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from omad.common.errors import InputError
+from omad.geometry.camera import Camera
+from omad.sensing.depth_files import read_mask
+from omad.sensing.masks import as_mask
+from omad.sensing.observation import Observation
+
+MASK = np.zeros((6, 9), dtype=bool)
+MASK[2:5, 3:7] = True
+PROBABILITY = np.where(MASK, 0.7, 0.2)
+ROWS, COLUMNS = np.mgrid[:40, :60]
+RING = ((COLUMNS - 30) ** 2 / 400 + (ROWS - 18) ** 2 / 120 < 1) & ~((COLUMNS - 25) ** 2 + (ROWS - 18) ** 2 < 20)
+RING_COUNTS = "W>7P12N2N2N2O0O2O0O2O00E^O0a0OC0<0D0<OF0:0F0:0F0:1D0<0D0<2@0`0<00000000000000001N10001N101N101N2N2N2NR<"
+"""What pycocotools.mask.encode says of the ring."""
+
+
+def coloured(alpha: np.ndarray, colours: np.ndarray) -> np.ndarray:
+    return np.dstack([np.repeat(colours[..., None], 3, 2), alpha]).astype(np.uint8)
+
+
+@pytest.mark.parametrize(
+    "form",
+    [
+        MASK,
+        MASK[None],
+        MASK[..., None],
+        torch.tensor(MASK)[None],
+        MASK.astype(np.uint8) * 255,
+        MASK * 255.0,
+        PROBABILITY,
+        PROBABILITY[None].astype(np.float16),
+        coloured(np.full(MASK.shape, 255), MASK * 200),
+        coloured(MASK * 255, np.full(MASK.shape, 90)),
+        np.repeat(MASK[..., None], 3, 2),
+    ],
+)
+def test_every_form_is_the_same_mask(form: object) -> None:
+    found = as_mask(form)
+    assert found.dtype == bool
+    assert np.array_equal(found, MASK)
+
+
+def test_an_id_picks_one_of_a_label_image(tmp_path: Path) -> None:
+    labels = np.where(MASK, 3, 1).astype(np.uint8)
+    labels[0] = 0
+    assert np.array_equal(as_mask(labels, 3), MASK)
+    image = Image.fromarray(labels)
+    image.save(tmp_path / "grey.png")
+    image.putpalette([0, 0, 0, 90, 10, 10, 10, 90, 10, 0, 0, 0])  # id 3 is as black as the background
+    image.save(tmp_path / "palette.png")
+    image = Image.fromarray(np.repeat(labels[..., None], 3, 2))
+    image.save(tmp_path / "colours.png")
+    for name in ("grey.png", "palette.png", "colours.png"):
+        assert np.array_equal(read_mask(tmp_path / name, 3), MASK), name
+    with pytest.raises(InputError, match=r"id 7; there are 0, 1, 3$"):
+        as_mask(labels, 7)
+
+
+def test_coco_run_lengths(tmp_path: Path) -> None:
+    compressed = {"size": [40, 60], "counts": RING_COUNTS}
+    ends = np.flatnonzero(np.diff(RING.T.ravel(), prepend=False))
+    runs = np.diff([0, *ends, RING.size]).tolist()
+    for counts in (RING_COUNTS, RING_COUNTS.encode(), runs):
+        assert np.array_equal(as_mask({"size": [40, 60], "counts": counts}), RING)
+    (tmp_path / "annotation.json").write_text(json.dumps({"id": 5, "segmentation": compressed}))
+    assert np.array_equal(read_mask(tmp_path / "annotation.json"), RING)
+
+
+def test_polygons() -> None:
+    triangle, square = [1, 1, 9, 1, 1, 9], [20, 20, 24, 20, 24, 24, 20, 24]
+    found = as_mask({"size": [40, 60], "segmentation": [triangle, square]})
+    x, y = COLUMNS + 0.5, ROWS + 0.5
+    expected = (x > 1) & (y > 1) & (x + y < 10) | (x > 20) & (x < 24) & (y > 20) & (y < 24)
+    assert np.array_equal(found, expected)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "cure"),
+    [
+        (np.where(MASK, 4.2, -3.1), "logits; pass mask > 0"),
+        (np.full(MASK.shape, np.nan), "logits"),
+        (np.stack([MASK] * 2), "holds 2 masks; pass one of them"),
+        (MASK[0], r"shape \(H, W\)"),
+        (np.full(MASK.shape, "a"), "booleans or numbers"),
+        ([[0, 1], [1]], "booleans or numbers"),
+        ({"counts": [1, 2]}, "size"),
+        ({"size": [6, 9]}, "one annotation of a file"),
+        ({"size": [6, 9], "counts": [50, 3]}, "run lengths"),
+        ({"size": [6, 9], "counts": "W>7P12N"}, "run lengths"),
+        ({"size": [6, 9], "segmentation": [[1, 2, 3, 4]]}, "three corners"),
+        ({"annotations": [], "images": []}, "size"),
+    ],
+)
+def test_what_is_no_mask_is_refused_with_the_cure(wrong: object, cure: str) -> None:
+    with pytest.raises(InputError, match=cure) as error:
+        as_mask(wrong)
+    assert "\n" not in str(error.value)
+
+
+def test_a_coloured_image_has_no_ids() -> None:
+    with pytest.raises(InputError, match="one channel"):
+        as_mask(np.dstack([MASK, MASK, ~MASK]).astype(np.uint8), 1)
+
+
+def test_masks_of_all_or_hardly_anything_are_named() -> None:
+    depth, camera = np.full((400, 500), 1.5, np.float32), Camera(500, 400, 500.0, 500.0, 249.5, 199.5)
+    speck = np.zeros(depth.shape, dtype=bool)
+    speck[100:108, 100:108] = True
+    assert "100%" in " ".join(Observation.from_depth(depth, camera, np.ones(depth.shape)).warnings)
+    assert "hardly anything" in " ".join(Observation.from_depth(depth, camera, speck[None]).warnings)
+    speck[100:200, 100:200] = True
+    assert Observation.from_depth(depth, camera, speck).warnings == ()
+    labels = np.where(speck, 2, 1)
+    assert np.array_equal(Observation.from_depth(depth, camera, labels, mask_id=2).mask, speck)

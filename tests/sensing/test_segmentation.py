@@ -1,0 +1,97 @@
+"""Cutting a thing out of a cloud, by its two steps: planes of known place, and clusters against SciPy's."""
+
+import numpy as np
+import pytest
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree
+
+from omad.sensing.clusters import GAP, SPARSE, VOXEL, prominent_cluster
+from omad.sensing.segmentation import segment_on_plane
+
+
+def clusters_by_scipy(points: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, float]:
+    """``prominent_cluster`` of points (N, 3) in the plainest way."""
+    size = VOXEL * np.median(np.linalg.norm(points, axis=1))
+    cells, cell_of, count = np.unique(np.floor(points / size), axis=0, return_inverse=True, return_counts=True)
+    cell_of = cell_of.ravel()
+    dense = count >= SPARSE * np.median(count[cell_of])
+    pairs = KDTree(cells).query_pairs(1.8, output_type="ndarray")
+    pairs = pairs[dense[pairs].all(1)]
+    links = coo_matrix((np.ones(len(pairs)), pairs.T), shape=(len(cells), len(cells)))
+    labels = connected_components(links, directed=False)[1]
+    things = range(labels.max() + 1)
+    extents = [np.ptp(cells[labels == thing], axis=0) for thing in things]
+    counted = [(labels == thing)[cell_of] & dense[cell_of] for thing in things]
+    weight = np.array(
+        [
+            weights[points_of].mean() * ((extent + 1) ** 2).sum() if points_of.any() else 0.0
+            for points_of, extent in zip(counted, extents, strict=True)
+        ]
+    )
+    best = int(weight.argmax())
+    distance, _ = KDTree(cells[labels == best]).query(cells)
+    near = np.unique(labels[dense & (distance < max(GAP * np.linalg.norm(extents[best]), 1.8))])
+    others = np.delete(weight, near)
+    return (np.isin(labels, near) & dense)[cell_of], others.max(initial=0.0) / weight[best]
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_clusters_are_those_of_scipy(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    centres = rng.normal(0, 0.4, (8, 3)) + (0, 0, 2)
+    spread = rng.uniform(0.01, 0.2, 8)[:, None]
+    blobs = [
+        centre + s * rng.normal(size=(rng.integers(20, 900), 3)) for centre, s in zip(centres, spread, strict=True)
+    ]
+    points = np.concatenate(blobs).astype(np.float32)
+    if seed % 2:
+        points = rng.permutation(points)
+    weights = rng.random(len(points))
+    distance = np.linalg.norm(points, axis=1)
+    chosen, rival = prominent_cluster(np.ascontiguousarray(points.T), distance, weights)
+    expected, expected_rival = clusters_by_scipy(points, weights)
+    assert np.array_equal(chosen, expected)
+    assert rival == pytest.approx(expected_rival)
+
+
+def scene(noise: float, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A ball over a floor before a wall, points (N, 3); which of the three (N,) each belongs to, and the two planes."""
+    rng = np.random.default_rng(seed)
+    ray = np.stack([*(v.ravel() for v in np.meshgrid(np.linspace(-0.5, 0.5, 200), np.linspace(-0.4, 0.4, 160)))], 1)
+    ray = np.concatenate([ray, np.ones((len(ray), 1))], 1)
+    planes = np.array([[0, -np.cos(0.5), -np.sin(0.5), -0.9], [np.sin(0.2), 0, -np.cos(0.2), -2.5]])
+    with np.errstate(divide="ignore"):
+        depths = planes[:, 3:] / (planes[:, :3] @ ray.T)
+    depths[depths <= 0] = np.inf
+    centre = np.array([0.05, -0.02, 1.5])  # the nearer root of |t ray - centre| = 0.2
+    a, b = (ray**2).sum(1), ray @ centre
+    root = b**2 - a * (centre @ centre - 0.04)
+    ball = np.where(root > 0, (b - np.sqrt(np.maximum(root, 0))) / a, np.inf)
+    depths = np.stack([*depths, ball])
+    depth = depths.min(0)
+    depth = depth + noise * depth**2 * rng.normal(size=depth.shape)
+    return ray * depth[:, None], depths.argmin(0), planes
+
+
+@pytest.mark.parametrize(("noise", "seed"), [(0.0, 0), (0.002, 0), (0.002, 1)])
+def test_floor_and_wall_are_found_where_they_are(noise: float, seed: int) -> None:
+    points, thing, planes = scene(noise, seed)
+    found = segment_on_plane(points)
+    assert len(found.planes) == 2
+    for plane in planes:
+        [same] = [other for other in found.planes if other[:3] @ plane[:3] > 0.9]
+        assert np.degrees(np.arccos(min(same[:3] @ plane[:3], 1.0))) < 0.2
+        assert same[3] == pytest.approx(plane[3], abs=0.005)
+    ball = thing == 2
+    assert (found.selected & ball).sum() / (found.selected | ball).sum() > 0.95
+    assert found.rival < 0.1
+
+
+def test_where_to_look_holds_for_the_thing_but_not_for_the_planes() -> None:
+    points, thing, _ = scene(0.0, 0)
+    inside = (thing == 2) & (points[:, 0] > 0)
+    found = segment_on_plane(points, inside)
+    assert len(found.planes) == 2
+    assert not found.selected[~inside].any()
+    assert found.selected[inside].mean() > 0.97
