@@ -56,14 +56,22 @@ def table(answers: dict[str, dict[str, Any]]) -> list[str]:
     for row, rows in by_row.items():
         cells = (cell(rows[name], answer["views"]) if name in rows else "-" for name, answer in answers.items())
         lines.append(f"| `{row}` | {' | '.join(cells)} |")
-    return lines
+    told = (judged(answer) for answer in answers.values())
+    return [*lines, f"| all of them, and other categories' objects | {' | '.join(told)} |"]
+
+
+def judged(answer: dict[str, Any]) -> str:
+    """Calibration error and area under the ROC of the probability."""
+    told = answer["probability"]
+    return f"ECE {told['calibration_error']:.3f}, AUC {told['area_under_roc']:.3f}" if told else "-"
 
 
 def cell(row: dict[str, Any], views: int) -> str:
-    """Mean error; shares covered, flagged and silently wrong; the number of views where it is not ``views``."""
+    """Mean error; shares covered by the 50 % and the 90 % interval, flagged and silently wrong; the number of views
+    where it is not ``views``."""
     angle, length = row["joint_state_error_deg"], row["joint_state_error"]
     error = f"{angle['mean']:.1f}°" if angle else f"{100 * length['mean']:.1f} cm"
-    shares = (f"{100 * row[key]:.0f}" for key in ("covered", "flagged", "silently_wrong"))
+    shares = (f"{100 * row[key]:.0f}" for key in ("covered_50", "covered_90", "flagged", "silently_wrong"))
     fewer = f" ({row['views']})" if row["views"] < views else ""
     return f"{error}; {' / '.join(shares)}{fewer}"
 

@@ -18,6 +18,7 @@ from helpers.command_line import K, laptop_view, refused, save_png
 from helpers.headless_browser import PROGRAM, HeadlessBrowser
 from omad.applications.explorer.drawing import ObjectSpace
 from omad.applications.explorer.fitting import FitRequest, describe_fit, fit_demo, fit_file
+from omad.applications.explorer.places import Places
 from omad.cli.explore import Explore, free_port
 from omad.common.errors import InputError
 from omad.estimation.estimator import Estimator
@@ -90,7 +91,7 @@ def test_random_objects_are_drawn_from_the_prior(name):
 
 def test_a_file_is_fitted_as_the_estimate_command_does(tmp_path):
     path = save_png(str(tmp_path / "one.png"))
-    fit = fit_file(estimator("laptop"), FitRequest.of_texts(path, K[1], "", "", False, ""))
+    fit = fit_file(estimator("laptop"), FitRequest.of_texts(path, K[1], "", "", False, "", Places((tmp_path,))))
     assert np.degrees(fit.estimate.joint_states - laptop_view().states) == pytest.approx(0, abs=5)
     text = describe_fit(fit)
     assert "`one.png`" in text
@@ -114,7 +115,7 @@ def test_what_is_wrong_with_a_file_is_said(texts, said, tmp_path, monkeypatch):
     save_png("depth.png")
     Path("broken.png").write_bytes(b"no image")
     with pytest.raises(InputError, match=said):
-        fit_file(estimator("laptop"), FitRequest.of_texts(*texts))
+        fit_file(estimator("laptop"), FitRequest.of_texts(*texts, Places((tmp_path,))))
 
 
 def test_bad_options_are_refused(capsys, monkeypatch, tmp_path):
@@ -155,14 +156,16 @@ def test_command_serves_until_interrupted():
 @pytest.fixture(scope="module")
 def opened(tmp_path_factory):
     """A page of the explorer, and the browser that shows it."""
-    viser = pytest.importorskip("viser", reason="needs viser: pip install 'omad[explore]'")
+    pytest.importorskip("viser", reason="needs viser: pip install 'omad[explore]'")
     if PROGRAM is None:
         pytest.skip("no Chromium or Chrome on the path: the page was not opened")
+    from omad.applications.explorer.gate import start_server
     from omad.applications.explorer.page import ExplorerPage
 
     port = free_port("127.0.0.1", 0)
-    server = viser.ViserServer("127.0.0.1", port, verbose=False)
-    page = ExplorerPage(server, estimator("laptop"), components=3, seed=0)
+    server = start_server("127.0.0.1", port, "OMAD")
+    places = Places((tmp_path_factory.getbasetemp(),))
+    page = ExplorerPage(server, estimator("laptop"), components=3, seed=0, places=places)
     browser = HeadlessBrowser(tmp_path_factory.mktemp("profile"), 800, 500)
     browser.command("Page.navigate", url=f"http://127.0.0.1:{port}")
     browser.wait("document.body && document.body.innerText.includes('Random object')")

@@ -46,9 +46,10 @@ def state_deg(estimate: dict) -> float:
 def test_estimate_keeps_its_promise(capsys):
     found = answer(capsys, "estimate", save_png("a.png"), *LAPTOP, *K)
     promised = "category converged residual beta T_camera_base joints parts keypoints initial seconds warnings checks"
-    assert set(promised.split()) | {"input", "output"} == set(found)
+    assert set(promised.split()) | {"input", "output", "probability", "doubtful"} == set(found)
     joint = found["joints"][0]
-    assert set(joint) == {"name", "type", "state", "state_std", "limits", "fraction", "axis", "pivot"}
+    promised = "name type state state_std interval_50 interval_90 limits fraction axis pivot"
+    assert set(joint) == set(promised.split())
     low, high = joint["limits"]
     assert (low, high) == pytest.approx((np.radians(-80), np.radians(85)))
     assert joint["fraction"] == pytest.approx((joint["state"] - low) / (high - low))
@@ -229,8 +230,10 @@ def test_robustness_keeps_its_promise_on_models_and_on_rendered_scenes(capsys):
     found = answer(capsys, *few, "--objects", "2", "--pictures", "worst")
     assert [row["row"] for row in found["rows"]] == ["clean", "hidden-25", "around"]
     assert (found["category"], found["source"], found["views"], found["left_out"]) == ("laptop", "procedural", 2, [])
-    promised = {"row", "what", "views", "missing", "joint_state_error_deg", "joint_state_error", "ratio", "covered"}
-    assert set(found["rows"][1]) == promised | {"flagged", "wrong", "silently_wrong"}
+    promised = {"row", "what", "views", "missing", "joint_state_error_deg", "joint_state_error", "ratio"}
+    assert set(found["rows"][1]) == promised | {"covered_50", "covered_90", "flagged", "wrong", "silently_wrong"}
+    assert found["others"]["views"] == 2
+    assert set(found["probability"] or {}) <= {"answers", "right", "calibration_error", "area_under_roc"}
     assert found["rows"][0]["ratio"] == 1.0
     assert {Path(path).name for path in found["pictures"]} == {"clean.png", "hidden-25.png", "around.png"}
     assert found["rows"] == answer(capsys, *few, "--objects", "2")["rows"]
@@ -310,7 +313,9 @@ def test_an_interrupted_training_goes_on_where_it_was(capsys, monkeypatch):
         if not name.startswith("prior."):
             assert resumed[name] == pytest.approx(whole[name], abs=1e-6), name
     assert run([*train, "prior", "--seed", "1"]) == 2
-    assert "other settings" in capsys.readouterr().err
+    told = capsys.readouterr().err
+    assert "settings" in told
+    assert "same options" in told
 
     net = ["train", "net", *LAPTOP, "--prior", "prior", "--steps", "3", *SMALL, "--output", "net"]
     answer(capsys, *net)

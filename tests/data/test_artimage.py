@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 import os
 import shutil
 from collections.abc import Callable
@@ -318,7 +317,7 @@ BREAKING: dict[str, tuple[Callable[[Layout], object], str, int]] = {
     ),
     "few points": (lambda a: a.points("2000000", 1).write_text("1 2 3\n"), r"1\.xyz: ", 2),
     "rest state without a number": (
-        lambda a: edit(a.rest_states, lambda r: r["2000000"]["1"].update(state=math.nan)),
+        lambda a: edit(a.rest_states, lambda r: r["2000000"]["1"].update(state=None)),
         r"rest_state\.json: .*part 1 .*2000000",
         2,
     ),

@@ -5,6 +5,7 @@ import pytest
 import torch
 
 from helpers.categories import CATEGORIES, DISHWASHER, LAPTOP
+from omad.data.clutter.settings import Clutter
 from omad.data.point_views import look, plain_look, plain_pose, plain_visible, pose, visible
 from omad.data.procedural import generate
 from omad.data.surface_bank import SurfaceBank
@@ -55,6 +56,15 @@ def test_states_stay_within_limits_and_the_object_in_front_of_the_camera(bank):
     u = 600 * views.points[..., 0] / views.points[..., 2] + 319.5
     assert (u >= -0.5).all()
     assert (u <= 639.5).all()
+
+
+def test_some_spoilt_views_are_of_shut_objects(bank):
+    settings = ViewSettings(points=256, clutter=Clutter(shut=0.5))
+    views = draw(bank, settings, batch=256)
+    low, high = bank.limits[views.indices].unbind(-1)
+    at_low, at_high = ((views.states == limit).all(1).float().mean() for limit in (low, high))
+    assert 0.4 < at_low + at_high < 0.6
+    assert 0.1 < min(at_low, at_high) < max(at_low, at_high) < 0.45
 
 
 def test_a_sheet_hides_what_is_behind_it():

@@ -88,7 +88,7 @@ def test_table2_rows_and_what_is_left_out(here, capsys):
     assert {r["method"] for r in found["left_out"]} == {"no attention", "attention, same budget"}
 
     shipped = load(OmadNet, WEIGHTS / "laptop")
-    blind = OmadNet(LAPTOP, shipped.prior, shipped.backbone.config, attention=False)
+    blind = OmadNet(LAPTOP, shipped.prior, shipped.backbone.config, attention=False, tells_outside=True)
     blind.load_state_dict(shipped.state_dict())
     save(blind, checkpoint_of(Path("omad-ablation/laptop"), "no attention"), {})
     found = answer(capsys, *command)

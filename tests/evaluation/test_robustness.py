@@ -14,7 +14,7 @@ from omad.data.rendering.standard_views import standard_views
 from omad.data.source import ViewSource, load_views
 from omad.evaluation.evaluate import evaluate
 from omad.evaluation.metrics import missing_errors
-from omad.evaluation.robustness.experiment import Measured, draw_worst, measure, scenes_from, table
+from omad.evaluation.robustness.experiment import Measured, draw_worst, judged, measure, others, scenes_from, table
 from omad.evaluation.robustness.rows import CLEAN, ROWS
 
 FEW = {name: ROWS[name] for name in (CLEAN, "hidden-25", "wide-3-wall", "aside-4", "around")}
@@ -22,7 +22,8 @@ FEW = {name: ROWS[name] for name in (CLEAN, "hidden-25", "wide-3-wall", "aside-4
 
 def measured(index: int, states: list[float], std: float, flagged: bool = False, wrong: bool = False) -> Measured:
     errors = replace(missing_errors(LAPTOP), joint_state=np.array(states), missing=False)
-    return Measured(index, errors, np.full(len(states), std), flagged, wrong)
+    half = std * np.outer([0.6745, 1.645], np.ones(len(states)))
+    return Measured(index, errors, half, flagged, wrong)
 
 
 def test_the_table_counts_as_it_says() -> None:
@@ -41,18 +42,26 @@ def test_the_table_counts_as_it_says() -> None:
     assert clean["joint_state_error_deg"]["mean"] == pytest.approx(18)
     assert clean["joint_state_error_deg"]["median"] == pytest.approx(3)
     assert clean["joint_state_error"] is None
-    assert clean["covered"] == pytest.approx(2 / 3)  # 3 of one degree is out of 1.645
+    assert clean["covered_50"] == pytest.approx(0)
+    assert clean["covered_90"] == pytest.approx(2 / 3)  # 3 of one degree is out of 1.645
     assert steep["ratio"] == pytest.approx(22 / 4)  # of the same two views
     assert (steep["flagged"], steep["wrong"], steep["silently_wrong"], steep["views"]) == (0.5, 0.5, 0.0, 2)
-    assert (below["wrong"], below["silently_wrong"], below["covered"]) == (1.0, 1.0, 1.0)
+    assert (below["wrong"], below["silently_wrong"], below["covered_90"]) == (1.0, 1.0, 1.0)
 
 
 def test_lengths_are_metres_and_missing_answers_are_the_worst() -> None:
-    missing = Measured(0, missing_errors(DRAWER), np.full(3, np.nan), True, True)
+    missing = Measured(0, missing_errors(DRAWER), np.full((2, 3), np.nan), True, True)
     [row] = table({CLEAN: [missing]}, ROWS, DRAWER)
     assert row["joint_state_error_deg"] is None
     assert row["joint_state_error"]["mean"] == pytest.approx(DRAWER.metres_per_unit)
-    assert (row["missing"], row["covered"], row["flagged"]) == (1, 0.0, 1.0)
+    assert (row["missing"], row["covered_90"], row["flagged"]) == (1, 0.0, 1.0)
+
+
+def test_probabilities_are_judged_where_there_are_any() -> None:
+    plain = measured(0, [0.0], 1.0)
+    assert judged([plain]) is None
+    told = [replace(plain, probability=0.9), replace(plain, probability=0.2, wrong=True), plain]
+    assert judged(told) == pytest.approx({"answers": 2, "right": 0.5, "calibration_error": 0.15, "area_under_roc": 1.0})
 
 
 @pytest.fixture(scope="module")
@@ -72,7 +81,8 @@ def test_clean_views_are_those_of_eval_pose_and_rows_do_not_depend_on_each_other
     for each, result in zip(found[CLEAN], evaluate(estimator, standard_views(models, LAPTOP, 3)), strict=True):
         assert each.errors.joint_state == pytest.approx(result.refined.joint_state, abs=1e-6)
         # a covariance turns another batch's rounding into per cents where the fit is flat
-        assert each.state_std == pytest.approx([j.state_std for j in result.estimate.joints], rel=0.05)
+        intervals = np.array([[joint.interval(level) for joint in result.estimate.joints] for level in (0.5, 0.9)])
+        assert 2 * each.half_widths == pytest.approx(np.ptp(intervals, axis=2), rel=0.05)
     alone = measure(estimator, scenes, 3, {name: FEW[name] for name in (CLEAN, "aside-4")})
     for one, other in zip(found["aside-4"], alone["aside-4"], strict=True):
         assert one.errors.joint_state == pytest.approx(other.errors.joint_state, abs=1e-6)
@@ -108,3 +118,10 @@ def test_images_are_spoilt_as_models_are_but_not_seen_from_elsewhere(estimator, 
 def test_every_row_says_what_it_is_and_no_two_are_alike() -> None:
     assert all(row.what for row in ROWS.values())
     assert len({row.spoil for row in ROWS.values()}) == len(ROWS)
+
+
+def test_no_answer_to_another_categorys_object_is_right(estimator) -> None:
+    found = others(estimator, 4, 0)
+    assert [each.index for each in found] == [0, 1, 2, 3]
+    assert all(each.wrong for each in found)
+    assert [each.flagged for each in others(estimator, 2, 0)] == [each.flagged for each in found[:2]]

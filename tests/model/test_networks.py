@@ -140,6 +140,22 @@ def test_a_network_learns_to_tell_outside_from_one_that_did_not(net, tmp_path):
     assert torch.equal(again_from_it(points).part_logits, after.part_logits)
 
 
+@torch.no_grad()
+def test_a_network_starts_with_a_prior_that_speaks_of_the_same_keypoints_otherwise(net):
+    turned = PriorNet(net.category).prior
+    turned.load_state_dict(net.prior.state_dict())
+    turn = torch.linalg.qr(torch.randn(2 * (turned.basis_size,), generator=torch.Generator().manual_seed(0))).Q
+    turned.learned_basis.copy_(turned.learned_basis @ turn)
+    turned.beta_mean.copy_(turn.mT @ turned.beta_mean + 0.1)
+    own = OmadNet(net.category, turned, net.backbone.config)
+    own.start_from(net)
+    assert torch.equal(own.prior.basis, turned.basis)
+    points = torch.randn(2, net.backbone.config.points, 3, generator=torch.Generator().manual_seed(0))
+    before, after = net(points), own(points)
+    torch.testing.assert_close(turned.keypoints(after.beta), net.prior.keypoints(before.beta), atol=1e-4, rtol=0)
+    assert torch.equal(after.keypoints, before.keypoints)
+
+
 def test_checkpoints_from_before_tell_no_outside(net, tmp_path):
     save(net, tmp_path, {})
     config = json.loads((tmp_path / "config.json").read_text())

@@ -96,19 +96,24 @@ def test_training_views_are_like_rendered_ones(name):
     assert 0.8 < agreement.ratio < 1.1, agreement  # docs/results.md says how far it is from one, and why
 
 
-# mean joint state error in degrees: of exact masks, and of masks 3 px too wide before a wall and on a table
-CLUTTERED = {"laptop": (1.5, 2.5), "eyeglasses": (4.0, 5.5)}
+# mean joint state error, degrees or category units: of exact masks, and of masks 3 px too wide by a wall and on a table
+SLOPPY = {
+    "laptop": (1.8, 2.2),
+    "eyeglasses": (4.0, 5.5),
+    "dishwasher": (5.0, 6.0),
+    "scissors": (4.0, 7.0),
+    "drawer": (0.08, 0.10),
+}
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("category", sorted(CLUTTERED))
-def test_weights_for_sloppy_masks_bear_them(category):
-    estimator = Estimator.from_pretrained(f"{category}/cluttered", device="cpu")
-    rows = {name: ROWS[name] for name in (CLEAN, "wide-3-wall", "wide-3-table")}
-    source = load_views("procedural", estimator.category, 10, 20, 3, False, "refuse")
-    scenes = scenes_from(source, estimator.category, 3)
-    found = measure(estimator, scenes, 20, rows)
-    mean = {name: np.degrees(np.mean([each.errors.joint_state for each in views])) for name, views in found.items()}
-    exact, sloppy = CLUTTERED[category]
+def test_sloppy_masks_hardly_matter(name):
+    estimator = Estimator.from_pretrained(name, device="cpu")
+    category, rows = estimator.category, {row: ROWS[row] for row in (CLEAN, "wide-3-wall", "wide-3-table")}
+    source = load_views("procedural", category, 10, 20, 3, False, "refuse")
+    found = measure(estimator, scenes_from(source, category, 3), 20, rows)
+    unit = np.pi / 180 if all(category.turning) else category.metres_per_unit
+    mean = {row: np.mean([each.errors.joint_state for each in views]) / unit for row, views in found.items()}
+    exact, sloppy = SLOPPY[name]
     assert mean[CLEAN] < exact, mean
     assert max(mean["wide-3-wall"], mean["wide-3-table"]) < sloppy, mean

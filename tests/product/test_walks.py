@@ -95,7 +95,7 @@ def test_a_category_is_its_spec_its_generator_and_its_weights(walk):
     )
     walk.write(
         "data/procedural/bin.py",
-        "import numpy as np\nfrom .shapes import JointedParts, box\n\n\ndef generate(rng, category):\n"
+        "import numpy as np\nfrom .shapes import JointedParts, box\n\n\ndef generate(rng, category, unusual):\n"
         "    w, h = rng.uniform(0.1, 0.2), rng.uniform(0.3, 0.5)\n"
         "    body, lid = box((-w, 0, -w), (w, h, w)), box((-w, h, -w), (w, h + 0.03, w))\n"
         "    return JointedParts(parts=(body, lid), pivots=np.array([[0.0, h, -w]]))\n",

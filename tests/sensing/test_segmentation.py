@@ -7,7 +7,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 from omad.sensing.clusters import GAP, SPARSE, VOXEL, prominent_cluster
-from omad.sensing.segmentation import segment_on_plane
+from omad.sensing.segmentation import segment_on_plane, things_before_planes
 
 
 def clusters_by_scipy(points: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, float]:
@@ -95,3 +95,14 @@ def test_where_to_look_holds_for_the_thing_but_not_for_the_planes() -> None:
     assert len(found.planes) == 2
     assert not found.selected[~inside].any()
     assert found.selected[inside].mean() > 0.97
+
+
+def test_noise_of_a_plane_is_no_thing_and_does_not_join_things() -> None:
+    points, thing, _ = scene(0.002, 0)
+    far = np.where(np.random.default_rng(0).random(len(points)) < 0.02, 0.97, 1.0)
+    noisy = points * np.where(thing == 2, 1.0, far)[:, None]
+    found = things_before_planes(noisy, 150)
+    [ball] = found.clusters
+    assert (thing[ball] == 2).mean() > 0.97
+    assert len(found.planes) == 2
+    assert 0.001 < found.lowest < 0.05

@@ -6,7 +6,7 @@ import math
 import os
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -28,10 +28,11 @@ with lazy_imports():
     from numpy import array, stack
 
     from omad.applications.detection import picture as detection_picture
+    from omad.applications.detection.cutting import ObjectFinder
     from omad.applications.detection.detector import Detector
     from omad.estimation import world
     from omad.estimation.category_ranking import Candidate, rank, suspected
-    from omad.estimation.checks import Check, doubts
+    from omad.estimation.checks import Check, doubts, is_doubtful
     from omad.estimation.several_views import contradictions
     from omad.model.checkpoint import shipped_categories
     from omad.output import picture
@@ -43,6 +44,8 @@ with lazy_imports():
 
 AUTO = "auto"
 CHOICE = f"{BUILT_IN}; auto: all of them are tried, and ranked by how well they explain what is seen; {OWN}"
+DOUBTFUL = 1
+"""Exit code of --strict."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,7 +53,9 @@ class EstimateCommand(CategoryCommand):
     """Estimate objects from depth images (PNG, TIFF, NPY, NPZ) or clouds (PLY, PCD, XYZ, NPY, NPZ): JSON, URDF, a
     picture and a page for the browser (estimate.html, with sliders) each.
 
-    Where a result is doubtful a list of what to check is printed, and kept under "checks" of the JSON.
+    Of a whole frame without a mask the thing before table, floor and walls is taken that is most like the category.
+    Where a result is doubtful a list of what to check is printed, and kept under "checks" of the JSON. With --category
+    auto the answer may be that it is of none of the categories: "category" is then null.
     """
 
     inputs: tyro.conf.Positional[tuple[Path, ...]]
@@ -68,6 +73,8 @@ class EstimateCommand(CategoryCommand):
     """Of an object that stands upright: x,y,z, where down is in the camera frame (y is down in a level camera); or
     world, for --world or --together with z up."""
     fast: Fast = False
+    strict: bool = False
+    """Exit with code 1 where an answer is doubtful: rather wrong than right, by its probability."""
     compare: bool = False
     """Compare with the other categories even where nothing is doubtful."""
     output: Path = Path("omad-estimate")
@@ -87,12 +94,12 @@ class EstimateCommand(CategoryCommand):
             option = "--together" if self.together else "--weights"
             raise InputError(f"--category auto: does not go with {option}; leave that out, or name a category")
         solver = _Solver(None if auto else self.estimator(self.fast), known, self.compare, self.device)
+        reader = replace(reader, find=solver.find)
         if self.together:
             read = [_Read.of(file, name, reader) for file, name in zip(files, _folder_names(files), strict=True)]
             found = solver.together([view.observation for view in read], poses, self.reading.depth_scale)
             results = [self._finish(*row) for row in zip(read, found, poses, strict=True)]
-            code = 0 if all(result["converged"] for result in results) else 1
-            return Answer({"results": results, "refused": []}, results_text, code)
+            return Answer({"results": results, "refused": []}, results_text, self._code(results, all))
         results, refused = [], []
         for file, name in zip(files, _folder_names(files), strict=True):
             try:
@@ -105,10 +112,16 @@ class EstimateCommand(CategoryCommand):
                 continue
             found = solver(view.observation, _metres_per_number(file, self.reading.depth_scale))
             results.append(self._finish(view, found, poses[0] if poses else None))
-        code = 2 if refused else 0 if any(result["converged"] for result in results) else 1
+        code = 2 if refused else self._code(results, any)
         if one:
             return Answer(results[0], joints_text, code)
         return Answer({"results": results, "refused": refused}, results_text, code)
+
+    def _code(self, results: Sequence[dict[str, Any]], enough: Callable[[Iterable[bool]], bool]) -> int:
+        """The exit code of so many results, where it is ``enough`` of them that have to be answers."""
+        if not enough(result["converged"] or result["category"] is None for result in results):
+            return 1
+        return DOUBTFUL if self.strict and any(result["doubtful"] for result in results) else 0
 
     def _poses(self, inputs: int) -> list[Any]:
         """T_world_camera of all inputs; of the one camera; or none. Raises InputError."""
@@ -124,10 +137,14 @@ class EstimateCommand(CategoryCommand):
         """Write the answer to one input; what is said of it."""
         folder = self.output / view.name
         found.estimate.seconds["read"] = view.seconds
-        record = found.to_dict()
-        if T_world_camera is not None:
-            record["world"] = world.in_world(found.estimate, T_world_camera)
-        self._write(view.observation, found, folder, view.file)
+        if found.none:
+            record = found.none_of_them()
+            print(f"{view.file}: none of the categories ({nearest_text(record)}) -> {folder}", file=sys.stderr)
+        else:
+            record = found.to_dict()
+            if T_world_camera is not None:
+                record["world"] = world.in_world(found.estimate, T_world_camera)
+            self._write(view.observation, found, folder, view.file)
         write_json(folder / "estimate.json", record)
         return {"input": str(view.file), "output": str(folder), **record}
 
@@ -141,12 +158,13 @@ class EstimateCommand(CategoryCommand):
         save_formats(estimate, observation, folder, self.formats)
         joints = ", ".join(map(picture.describe, estimate.joints))
         name = f"{estimate.category.name}: " if self.category == AUTO else ""
-        doubt = "" if estimate.converged else " (not converged)"
-        print(f"{file}: {name}{joints}{doubt} -> {folder}", file=sys.stderr)
+        notes = [picture.how_sure(estimate), "" if estimate.converged else "not converged"]
+        note = ", ".join(filter(None, notes))
+        print(f"{file}: {name}{joints}{note and f' ({note})'} -> {folder}", file=sys.stderr)
         for warning in observation.warnings:
             print(f"{file}: warning: {warning}", file=sys.stderr)
         if found.checks:
-            print(f"{file}: doubtful; check:", file=sys.stderr)
+            print(f"{file}: {'doubtful; ' if found.doubtful else ''}check:", file=sys.stderr)
         for check in found.checks:
             print(f"  [ ] {check.name}: {check.what}\n      why: {check.why}\n      do:  {check.cure}", file=sys.stderr)
 
@@ -179,9 +197,11 @@ class Detect(CategoriesCommand):
         began = time.perf_counter()
         detector = Detector([estimator for _, estimator in self.estimators()])
         loaded = time.perf_counter()
-        found = detector(frame, corners)
+        look = detector.look(frame, corners)
+        found = look.detections
         seconds = {"load": loaded - began, "detect": time.perf_counter() - loaded}
         record = {"input": str(self.input), "objects": [one.to_dict() for one in found], "seconds": seconds}
+        record |= {"lowest": look.lowest, "too_flat": look.too_flat}
         write_json(self.output / "detect.json", record | {"warnings": list(frame.warnings)})
         picture.save(detection_picture.figure(frame, found, self.input.name), self.output / "detect.png")
         named = sum(one.category is not None for one in found)
@@ -198,25 +218,40 @@ def detections_text(answer: dict[str, Any]) -> str:
         box = "-" if found["box"] is None else ",".join(map(str, found["box"]))
         name = found["category"] or "none of these"
         rows.append([str(number), name, f"{found['probability']:.0%}", box, _vector(found["centre"]), states])
-    return table(rows)
+    if not answer["too_flat"]:
+        return table(rows)
+    names, limit = " and ".join(answer["too_flat"]), f"{1000 * answer['lowest']:.0f} mm"
+    flat = f"{names} may lie unseen: what rises less than about {limit} over a table cannot be told from it by depth"
+    return f"{table(rows)}\n{flat}; give omad estimate a mask of it."
+
+
+def nearest_text(answer: dict[str, Any]) -> str:
+    """What is likest a thing that is of none of the categories."""
+    return f"likest: {answer['categories'][0]['category']}, right with probability {answer['probability']:.0%}"
 
 
 def joints_text(answer: dict[str, Any]) -> str:
-    """What was found in one input, a line a joint."""
+    """What was found in one input, a line a joint, and how sure that is."""
+    if answer["category"] is None:
+        return f"none of the categories; {nearest_text(answer)}"
     rows = [["joint", "state", "limits", "travel", "axis", "pivot (m)"]]
     for joint in answer["joints"]:
         limits = " to ".join(state(joint, limit) for limit in joint["limits"])
         places = [_vector(joint["axis"]), _vector(joint["pivot"])]
         rows.append([joint["name"], state_and_std(joint), limits, _travel(joint), *places])
-    return table(rows)
+    doubt = ", doubtful" if answer["doubtful"] else ""
+    known = answer["probability"] is not None
+    return table(rows) + (f"\nright with probability {answer['probability']:.0%}{doubt}" if known else "")
 
 
 def results_text(answer: dict[str, Any]) -> str:
     """What was found in many inputs, a line a joint."""
-    rows = [["input", "joint", "state", "travel", "converged"]]
+    rows = [["input", "joint", "state", "travel", "converged", "doubtful"]]
     for result in answer["results"]:
-        own = result["input"], "yes" if result["converged"] else "no"
-        rows += [[own[0], joint["name"], state_and_std(joint), _travel(joint), own[1]] for joint in result["joints"]]
+        said = ["yes" if result[key] else "no" for key in ("converged", "doubtful")]
+        rows += [[result["input"], j["name"], state_and_std(j), _travel(j), *said] for j in result["joints"]]
+        if result["category"] is None:
+            rows.append([result["input"], "none of the categories", "-", "-", *said])
     return table(rows)
 
 
@@ -255,9 +290,24 @@ class _Found:
     ranked: list[Candidate]
     """All categories, best first, where they were compared."""
 
+    none: bool = False
+    """It is of none of the categories: the estimate is by the one that it is likest."""
+
+    @property
+    def doubtful(self) -> bool:
+        return is_doubtful(self.estimate, self.checks)
+
     def to_dict(self) -> dict[str, Any]:
+        return {**self.estimate.to_dict(), **self._doubts()}
+
+    def none_of_them(self) -> dict[str, Any]:
+        """What is said of a thing that is of none of the categories."""
+        estimate, nothing = self.estimate, {"category": None, "converged": False, "joints": [], "parts": []}
+        return {**nothing, "probability": estimate.probability, "warnings": [*estimate.warnings], **self._doubts()}
+
+    def _doubts(self) -> dict[str, Any]:
         ranked = {"categories": [candidate.to_dict() for candidate in self.ranked]} if self.ranked else {}
-        return {**self.estimate.to_dict(), "checks": [check.to_dict() for check in self.checks], **ranked}
+        return {"doubtful": self.doubtful, "checks": [check.to_dict() for check in self.checks], **ranked}
 
 
 @dataclass(frozen=True)
@@ -273,7 +323,8 @@ class _Solver:
     def __call__(self, observation: omad.Observation, depth_scale: float | None) -> _Found:
         if self.chosen is None:
             ranked = rank(observation, self.all, self.known)
-            return _Found(ranked[0].estimate, doubts(observation, ranked[0].estimate, depth_scale), ranked)
+            best = ranked[0].estimate
+            return _Found(best, doubts(observation, best, depth_scale), ranked, none=bool(best.doubtful))
         estimate = self.chosen(observation, self.known)
         checks, ranked = doubts(observation, estimate, depth_scale), []
         if checks or self.compare:
@@ -289,6 +340,10 @@ class _Solver:
         estimates = self.chosen(views, self.known, T_world_camera=stack(poses))
         rows = zip(views, estimates, strict=True)
         return [_Found(e, [*doubts(view, e, depth_scale), *contradictions(e)], []) for view, e in rows]
+
+    def find(self, frame: omad.Observation, box: Sequence[float] | None) -> omad.Observation:
+        """The object in a whole frame. Raises InputError."""
+        return ObjectFinder(Detector([self.chosen] if self.chosen else self.all))(frame, box)
 
     @cached_property
     def all(self) -> list[omad.Estimator]:

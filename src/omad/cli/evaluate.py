@@ -1,10 +1,12 @@
-"""``omad eval pose | robustness | keypoints | views | retrieval``: how good weights are."""
+"""``omad eval pose | shape | robustness | keypoints | views | retrieval``: how good weights are."""
 
 from __future__ import annotations
 
 import sys
 from dataclasses import asdict, dataclass
 from functools import partial
+from itertools import chain
+from math import isnan
 from pathlib import Path
 from typing import Any, Literal
 
@@ -35,6 +37,7 @@ with lazy_imports():
     from omad.evaluation.retrieval.shards import described_in_shards
     from omad.evaluation.robustness import experiment as robustness
     from omad.evaluation.robustness import rows as robustness_rows
+    from omad.evaluation.shape import evaluate_shapes, shape_summary
     from omad.evaluation.view_agreement import compare_views
     from omad.model.checkpoint import find_weights, is_checkpoint, load
     from omad.model.omadnet import OmadNet
@@ -96,6 +99,46 @@ def _spread(error: dict[str, float], factor: float, unit: str) -> str:
     return " / ".join(f"{factor * error[key]:.{digits}f}{unit}" for key in ("mean", "median", "p90"))
 
 
+@dataclass(frozen=True, kw_only=True)
+class EvalShape(CategoryCommand):
+    """Measure surfaces on views of unseen objects with meshes, beside hulls of keypoints: symmetric mean distance and
+    F-score at 0.05 (category units), and the volumes' intersection over union where both are closed; where the object
+    is seen, so that errors of pose and joint states count."""
+
+    data: OmitArgPrefixes[Views] = Views(objects=100, views=100)
+
+    def run(self) -> Answer:
+        self.data.check()
+        estimator = self.estimator()
+        category, source = estimator.category, self.data.load(estimator.category)
+        if not source.models:
+            raise InputError(f"--source {self.data.source}: holds images, no meshes; give a folder of models")
+        results = evaluate_shapes(estimator, source.views, source.models, source.total)
+        answer = {"category": category.name, "source": self.data.source, "objects": len(source.models)}
+        answer |= {"metres_per_unit": category.metres_per_unit, "refused": source.refused}
+        answer |= shape_summary(results, [part.name for part in category.parts])
+        return Answer(answer, shape_text, 1 if answer["failures"] == len(results) else 0)
+
+
+def shape_text(answer: dict[str, Any]) -> str:
+    """A line a part, surfaces beside hulls; mean and median."""
+    measures, kinds = {"distance": 4, "f_score": 3, "iou": 3}, ("surface", "hull")
+    heads = [f"{kind}: {name}" for name in ("distance (units)", "F at 0.05", "IoU") for kind in kinds]
+    rows = [["", *heads]]
+    for name in ("whole", *answer["surface"]["parts"]):
+        cells = [name]
+        for measure, digits in measures.items():
+            for kind in kinds:
+                found = answer[kind]["whole"] if name == "whole" else answer[kind]["parts"][name]
+                spread = found.get(measure)
+                cells.append(f"{spread['mean']:.{digits}f} / {spread['median']:.{digits}f}" if spread else "-")
+        rows.append(cells)
+    seen = f"{answer['views']} views of {answer['objects']} objects"
+    head = f"{answer['category']}, {answer['source']}: {seen}, mean / median"
+    refused = [f"refused {each['name']}: {each['reason']}" for each in answer["refused"]]
+    return "\n".join([head, table(rows), f"failures {answer['failures']}", *refused])
+
+
 @dataclass(frozen=True)
 class SpoiltViews(Models):
     """The views to spoil."""
@@ -137,6 +180,9 @@ class EvalRobustness(CategoryCommand):
         found = robustness.measure(estimator, scenes, source.total, rows)
         answer = {"category": category.name, "source": self.data.source, "seed": self.data.seed}
         answer |= {"views": source.total, "rows": robustness.table(found, rows, category)}
+        others = robustness.others(estimator, self.data.views, self.data.seed)
+        answer["others"] = {"views": len(others), "flagged": sum(each.flagged for each in others) / max(len(others), 1)}
+        answer["probability"] = robustness.judged([*chain(*found.values()), *others])
         answer |= {"left_out": [name for name, measured in found.items() if not measured], "refused": source.refused}
         if self.pictures is not None:
             answer["pictures"] = robustness.draw_worst(estimator, scenes, found, rows, self.pictures)
@@ -145,18 +191,25 @@ class EvalRobustness(CategoryCommand):
 
 def robustness_text(answer: dict[str, Any]) -> str:
     """A line a spoil: mean, median and 90th percentile of the joint states' errors, and shares."""
-    columns = ["joint state", "ratio", "in 90 % interval", "flagged", "wrong", "silently wrong", "what"]
+    columns = ["joint state", "ratio", "in 50 %", "in 90 % interval", "flagged", "wrong", "silently wrong", "what"]
     lines = [["", *columns]]
     for row in answer["rows"]:
         angle, length = row["joint_state_error_deg"], row["joint_state_error"]
         states = [_spread(angle, 1, "°")] if angle else []
         states += [_spread(length, 1, " m")] if length else []
-        shares = [f"{row[key]:.0%}" for key in ("covered", "flagged", "wrong", "silently_wrong")]
+        keys = ("covered_50", "covered_90", "flagged", "wrong", "silently_wrong")
+        shares = [f"{row[key]:.0%}" for key in keys]
         lines.append([row["row"], ", ".join(states), f"{row['ratio']:.2f}", *shares, row["what"]])
     head = f"{answer['category']}, {answer['source']}: {answer['views']} views a row, mean / median / 90th percentile"
     left_out = [f"left out, as there are no such views: {', '.join(answer['left_out'])}"] if answer["left_out"] else []
     refused = [f"refused {each['name']}: {each['reason']}" for each in answer["refused"]]
-    return "\n".join([head, table(lines), *left_out, *refused])
+    others, told = answer["others"], answer["probability"]
+    judged = [f"objects of other categories: {others['views']} views, {others['flagged']:.0%} flagged"]
+    if told:
+        area = "-" if isnan(told["area_under_roc"]) else f"{told['area_under_roc']:.3f}"
+        error = f"calibration error {told['calibration_error']:.3f}, area under the ROC {area}"
+        judged.append(f"probability of all {told['answers']} answers, {told['right']:.0%} of them right: {error}")
+    return "\n".join([head, table(lines), *judged, *left_out, *refused])
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -18,10 +18,10 @@ from .answer import Answer
 from .options import CategoryCommand, CategoryName, Seed, check_positive
 
 with lazy_imports():
-    from viser import ViserServer
-
     from omad.applications.explorer.fitting import FitRequest, fit_demo, fit_file
+    from omad.applications.explorer.gate import start_server
     from omad.applications.explorer.page import ExplorerPage
+    from omad.applications.explorer.places import Places
 
 LOCAL, LAST_PORT = "127.0.0.1", 65535
 
@@ -41,8 +41,10 @@ class Explore(CategoryCommand):
     """Fit a procedural object that no training has seen at the start."""
     components: int = 5
     """Numbers of beta whose sliders are shown at once; the others are in a folder of the page."""
+    folder: Path | None = None
+    """Files below it may be named in the page; without it, files are uploaded there."""
     host: str = LOCAL
-    """Address to listen at. Whoever reaches another one can have this machine's depth files fitted."""
+    """Address to listen at. Whoever reaches another one sees the page and may have files of the given folder fitted."""
     port: int = 8080
     """0: any free one."""
     seed: Seed = 0
@@ -53,28 +55,35 @@ class Explore(CategoryCommand):
             raise InputError("--demo and --depth: give one of them; both are things to fit at the start")
         if importlib.util.find_spec("viser") is None:
             raise InputError("omad explore needs the viewer library viser; pip install 'omad[explore]'")
-        port = free_port(self.host, self.port)
+        port, places = free_port(self.host, self.port), self._places()
         estimator = self.estimator()
         request = FitRequest(self.depth, self.reading) if self.depth else None
         fit = fit_file(estimator, request) if request else fit_demo(estimator, self.seed) if self.demo else None
         name, url = estimator.category.name, f"http://{LOCAL if self.host in ('', '0.0.0.0') else self.host}:{port}"
         with contextlib.redirect_stdout(sys.stderr):  # stdout is for the answer; viser greets there
-            server = ViserServer(self.host, port, label=f"OMAD · {name}", verbose=False)
-        page = ExplorerPage(server, estimator, self.components, self.seed)
+            server = start_server(self.host, port, f"OMAD · {name}")
         try:
-            if request is not None:
-                page.show_request(request)
-            if fit is not None:
-                page.show_fit(fit)
-            print(f"omad: {url} (Ctrl-C ends it)", file=sys.stderr, flush=True)
-            threading.Event().wait()
-        except KeyboardInterrupt:
+            with contextlib.closing(ExplorerPage(server, estimator, self.components, self.seed, places)) as page:
+                if request is not None:
+                    page.show_request(request)
+                if fit is not None:
+                    page.show_fit(fit)
+                print(f"omad: {url} (Ctrl-C ends it)", file=sys.stderr, flush=True)
+                threading.Event().wait()
+        except KeyboardInterrupt:  # SIGTERM, too
             print("omad: ended", file=sys.stderr)
         finally:
             with contextlib.redirect_stdout(sys.stderr):
                 server.stop()
-            page.close()
         return Answer({"category": name, "url": url})
+
+    def _places(self) -> Places:
+        """What the page may read: what was given at start, and what lies below --folder."""
+        if self.folder is not None and not self.folder.is_dir():
+            raise InputError(f"--folder {self.folder}: no such folder")
+        given = (self.depth, self.reading.mask, self.reading.intrinsics)
+        files = tuple(Path(file) for file in given if file is not None)
+        return Places(() if self.folder is None else (self.folder,), files)
 
 
 def free_port(host: str, port: int) -> int:

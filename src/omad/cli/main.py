@@ -3,7 +3,8 @@
 import io
 import os
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, is_dataclass
+from pathlib import Path
 from typing import Annotated, Any, Union
 
 # two threads that spin while they wait starve each other where cores are shared; must be set before torch loads
@@ -13,13 +14,14 @@ os.environ.setdefault("GOMP_SPINCOUNT", "0")
 import tyro
 
 from omad import __version__
-from omad.common.errors import InputError, WorkError
-from omad.common.files import one_line
+from omad.common.errors import InputError, WorkError, shown
+from omad.common.files import NO_ROOM, one_line
+from omad.common.signals import end_at_once, exit_code, raise_in_work
 
 from .answer import as_json
 from .bulk import Bulk
 from .estimate import Detect, EstimateCommand
-from .evaluate import EvalKeypoints, EvalPose, EvalRetrieval, EvalRobustness, EvalViews
+from .evaluate import EvalKeypoints, EvalPose, EvalRetrieval, EvalRobustness, EvalShape, EvalViews
 from .explore import Explore
 from .figures import FigureKeypoints, FigureOcclusion, FigureQualitative, FigureSweep, FigureTsne
 from .index import IndexBuild, IndexQuery
@@ -27,11 +29,12 @@ from .models import Generate, Import, Render
 from .paper import EvalAblation, EvalTable1, EvalTable2
 from .shipped import Compile, Demo, Export, Info
 from .track import Track
-from .train import TrainAncsh, TrainNet, TrainPrior, TrainSiamese
+from .train import TrainAncsh, TrainConfidence, TrainNet, TrainPrior, TrainSiamese, TrainSurface
 
 ABOUT = (
     "Shape, pose, joint states and joint axes of unseen articulated objects from one depth view."
-    " Exit codes: 0 done, 1 the work itself failed, 2 bad input or usage. omad --version prints the version."
+    " Exit codes: 0 done, 1 the work itself failed (estimate --strict: the answer is doubtful),"
+    " 2 bad input or usage. omad --version prints the version."
 )
 
 
@@ -43,16 +46,19 @@ class Group:
     commands: dict[str, Any]
 
 
-_TRAIN = {"prior": TrainPrior, "net": TrainNet, "ancsh": TrainAncsh, "siamese": TrainSiamese}
+_TRAIN = {"prior": TrainPrior, "net": TrainNet, "confidence": TrainConfidence, "surface": TrainSurface}
+_TRAIN |= {"ancsh": TrainAncsh, "siamese": TrainSiamese}
 _EVAL = {"pose": EvalPose, "keypoints": EvalKeypoints, "views": EvalViews, "table1": EvalTable1, "table2": EvalTable2}
-_EVAL |= {"ablation": EvalAblation, "retrieval": EvalRetrieval, "robustness": EvalRobustness}
+_EVAL |= {"shape": EvalShape, "ablation": EvalAblation, "retrieval": EvalRetrieval, "robustness": EvalRobustness}
 _FIGURE = {"qualitative": FigureQualitative, "keypoints": FigureKeypoints, "sweep": FigureSweep}
 _FIGURE |= {"occlusion": FigureOcclusion, "tsne": FigureTsne}
 _INDEX = {"build": IndexBuild, "query": IndexQuery}
 COMMANDS: dict[str, Any] = {"demo": Demo, "estimate": EstimateCommand, "detect": Detect, "bulk": Bulk}
 COMMANDS |= {"track": Track, "explore": Explore}
 COMMANDS |= {"generate": Generate, "import": Import, "render": Render}
-COMMANDS["train"] = Group("Train a category: first its prior, then its network; or the baselines.", _TRAIN)
+COMMANDS["train"] = Group(
+    "Train a category: its prior, then its network, then its confidence; or the baselines.", _TRAIN
+)
 COMMANDS["eval"] = Group("Measure accuracy on objects with known truth.", _EVAL)
 COMMANDS["figure"] = Group("Draw figures from weights: results, keypoints, sweeps, occlusion, t-SNE.", _FIGURE)
 COMMANDS["index"] = Group("Which object is this: a catalogue of objects that is asked with a view.", _INDEX)
@@ -60,7 +66,8 @@ COMMANDS |= {"export": Export, "info": Info, "compile": Compile}
 
 
 def main() -> None:
-    """Entry point. Exit codes: 0 done, 1 the work itself failed, 2 bad input or usage."""
+    """Entry point. Exit codes: 0 done, 1 the work itself failed, 2 bad input or usage, 130 Ctrl-C, 143 SIGTERM."""
+    raise_in_work()
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal without a degree sign is no reason to fail
@@ -70,6 +77,15 @@ def main() -> None:
     except BrokenPipeError:  # the reader has seen enough (`omad info | head -1`)
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = 0
+    except KeyboardInterrupt:
+        code = _interrupted()
+    except OSError as error:
+        if error.errno not in NO_ROOM:
+            raise
+        print(f"omad: cannot be written ({error.strerror})", file=sys.stderr)
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        code = 1
+    end_at_once()
     sys.exit(code)
 
 
@@ -83,20 +99,45 @@ def run(arguments: list[str]) -> int:
     if arguments == ["--version"]:
         print(__version__)
         return 0
-    command = parse(arguments)
     try:
+        command = parse(arguments)
+        check_paths(command)
         answer = command.run()
     except (InputError, WorkError) as error:
         print(f"omad: {one_line(error)}", file=sys.stderr)
         return 2 if isinstance(error, InputError) else 1
     except KeyboardInterrupt:
-        print(
-            "omad: interrupted; bulk estimation, rendering and training go on where they were when run again",
-            file=sys.stderr,
-        )
-        return 130
+        return _interrupted()
+    except MemoryError:
+        print("omad: out of memory; give smaller input, or fewer at a time", file=sys.stderr)
+        return 1
+    except Exception:
+        if exit_code():  # a library may turn an interruption into an error of its own
+            return _interrupted()
+        raise
     print(as_json(answer.record) if command.json else answer.text(answer.record))
     return answer.code
+
+
+def check_paths(options: Any) -> None:
+    """Raises InputError for what no file can be called, among the options of a command."""
+    for field in fields(options):
+        value = getattr(options, field.name)
+        for path in value if isinstance(value, tuple) else (value,):
+            if is_dataclass(path):
+                check_paths(path)
+            elif isinstance(path, Path):
+                try:
+                    path.exists()
+                except (OSError, ValueError) as error:
+                    reason = error.strerror if isinstance(error, OSError) else error
+                    raise InputError(f"{shown(path)}: cannot be the path of a file ({reason}); give another") from error
+
+
+def _interrupted() -> int:
+    said = "bulk estimation, rendering, import and training go on where they were when run again"
+    print(f"omad: interrupted; {said}", file=sys.stderr)
+    return exit_code() or 130
 
 
 def _one_of(commands: dict[str, Any]) -> Any:

@@ -63,12 +63,14 @@ class Import:
     """Metres per unit of the files; default: the category's for PartNet-Mobility, 1 for others."""
     missing_meshes: Literal["refuse", "skip"] = "refuse"
     """Of models whose mesh files are not all there: refuse the model, or use what is there."""
+    mesh_folder: Path | None = None
+    """Where meshes may lie besides each model's own folder (or ROS package); no others are opened."""
     json: Json = False
 
     def run(self) -> Answer:
         check_positive(scale=self.scale)
         category = omad.get_category(self.category)
-        found = import_folder(self.source, category, self.output, self.scale, self.missing_meshes)
+        found = import_folder(self.source, category, self.output, self.scale, self.missing_meshes, self.mesh_folder)
         if not found.models and len(found.refused) == 1:
             raise InputError(f"{self.source}: no usable model in it: {found.refused[0].reason}")
         picture = self.output / "models.png"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
@@ -12,7 +11,7 @@ from typing import Annotated, Any, Literal
 import tyro
 
 import omad
-from omad.common.errors import InputError
+from omad.common.errors import InputError, shown
 from omad.common.lazy import lazy_imports
 from omad.objects.builtin import builtin_names
 
@@ -27,6 +26,9 @@ with lazy_imports():
     from omad.objects.category import Category
     from omad.objects.category_file import is_spec_file, read_spec
 
+MOST_THREADS = 1024
+LARGEST = 1e9
+"""Of numbers on the command line."""
 BUILT_IN = ", ".join(builtin_names())
 """Categories by name."""
 OWN = "or your own: a spec file (.toml, .json), or the name in --weights."
@@ -84,7 +86,7 @@ class Models:
     """The object models to measure on."""
 
     source: str = "procedural"
-    """procedural, or a folder of URDF / PartNet-Mobility models."""
+    """procedural, unusual (its odd members), or a folder of URDF / PartNet-Mobility models."""
     objects: int = 20
     """Procedural objects a category."""
     seed: Seed = 0
@@ -99,8 +101,8 @@ class Views:
     """The views to measure on."""
 
     source: str = "procedural"
-    """procedural, a folder of URDF / PartNet-Mobility models, an ArtImage root (its test split), or a folder that
-    ``omad render`` made."""
+    """procedural, unusual (its odd members), a folder of URDF / PartNet-Mobility models, an ArtImage root (its test
+    split), or a folder that ``omad render`` made."""
     objects: int = 20
     """Procedural objects a category."""
     views: int = 200
@@ -157,9 +159,17 @@ def load_prior(folder: Path, device: str) -> PriorNet:
 def check_positive(**options: float | None) -> None:
     """Raises InputError for an option that is not above zero; None is an option that was not given."""
     for name, value in options.items():
-        if value is not None and not 0 < value < math.inf:
+        if value is not None and not (0 < value <= LARGEST and (isinstance(value, int) or value >= 1 / LARGEST)):
+            if value > LARGEST:
+                raise InputError(f"--{name.replace('_', '-')} {shown(value)}: must be at most {LARGEST:g}")
             need = "at least 1" if isinstance(value, int) else "a number above 0"
             raise InputError(f"--{name.replace('_', '-')} {value}: must be {need}")
+
+
+def check_seed(seed: int) -> None:
+    """Raises InputError for a number that no generator takes."""
+    if not 0 <= seed < 2**32:
+        raise InputError(f"--seed {shown(seed)}: must be a whole number from 0, below 2**32")
 
 
 def check_category(option: str, folder: Path | None, found: Category, wanted: str) -> None:
@@ -182,8 +192,8 @@ def _learned(category: Category) -> tuple[Any, ...]:
 
 def use_threads(threads: int) -> None:
     """Make the process one that trains on so many CPU threads; 0: PyTorch's choice. Raises InputError."""
-    if threads < 0:
-        raise InputError(f"--threads {threads}: must be at least 1, or 0 for PyTorch's choice")
+    if not 0 <= threads <= MOST_THREADS:
+        raise InputError(f"--threads {shown(threads)}: must be from 1 to {MOST_THREADS}, or 0 for PyTorch's choice")
     keep_freed_memory()
     if threads:
         set_num_threads(threads)

@@ -21,9 +21,12 @@ with lazy_imports():
     from omad.common.runtime import pick_device
     from omad.data.procedural import generate
     from omad.data.rendering.standard_views import standard_view
+    from omad.estimation.confidence import model as confidences
+    from omad.estimation.confidence.model import Confidence
     from omad.evaluation.demo import run_demo
     from omad.model.checkpoint import find_weights, load, save, shipped_categories
     from omad.model.omadnet import OmadNet
+    from omad.model.surfaces.bank import bank_beside
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,7 +69,7 @@ def demo_text(answer: dict[str, Any]) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class Export:
-    """Write a checkpoint folder that is complete alone (network, prior, category spec), for other programs."""
+    """Write a checkpoint folder that is complete alone (network, prior, category, surfaces), for other programs."""
 
     category: CategoryName
     output: Path
@@ -86,7 +89,14 @@ class Export:
         arrays |= {"nominal_axes": prior.nominal_axes, "part_of": prior.part_of}
         plain = {name: tensor.detach().numpy() for name, tensor in arrays.items()}
         write_atomic(self.output / "prior.npz", lambda path: savez(path, allow_pickle=False, **plain))
-        return Answer({"folder": str(self.output), "files": ["config.json", "model.safetensors", "prior.npz"]})
+        files = ["config.json", "model.safetensors", "prior.npz"]
+        if confidence := Confidence.load(source, net.category):
+            confidence.save(self.output)
+            files.append(confidences.FILE)
+        if (bank := bank_beside(source)) is not None:
+            write_atomic(self.output / bank.name, lambda path: path.write_bytes(bank.read_bytes()))
+            files.append(bank.name)
+        return Answer({"folder": str(self.output), "files": files})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,5 +126,5 @@ class Compile:
         began = time.perf_counter()
         estimator = omad.Estimator.from_pretrained(shipped_categories()[0], "cpu")
         view = standard_view(generate(estimator.category, 0, "test"), estimator.category, (0, 0))
-        estimator(omad.Observation.from_depth(view.depth, view.camera, segment="plane"))
+        _ = estimator(omad.Observation.from_depth(view.depth, view.camera, segment="plane")).surface
         return Answer({"compiled": len(COMPILED.names), "seconds": time.perf_counter() - began})

@@ -12,15 +12,28 @@ from omad.common.errors import InputError
 from omad.common.lazy import lazy_imports
 
 from .answer import Answer
-from .options import BrokenFiles, CategoryName, Device, Json, Seed, check_category, check_positive, use_threads
+from .options import (
+    BrokenFiles,
+    CategoryCommand,
+    CategoryName,
+    Device,
+    Json,
+    Seed,
+    check_category,
+    check_positive,
+    check_seed,
+    load_prior,
+    use_threads,
+)
 
 with lazy_imports():
     from omad.common.runtime import pick_device
     from omad.data.clutter.settings import Clutter
-    from omad.data.source import load_objects
+    from omad.data.source import load_models, load_objects
     from omad.data.training_views import ViewSettings
     from omad.evaluation.baselines.ancsh.training import AncshTraining, train_ancsh
     from omad.evaluation.baselines.siamese import SiameseTraining, train_siamese
+    from omad.evaluation.confidence import fitting
     from omad.model.backbones import BackboneConfig, get_backbone
     from omad.model.checkpoint import Network, find_weights, load, save, shipped_categories, training_record
     from omad.model.omadnet import OmadNet
@@ -28,6 +41,7 @@ with lazy_imports():
     from omad.training.loop import Schedule
     from omad.training.train_net import NetLossWeights, NetTraining, train_net
     from omad.training.train_prior import PriorTraining, train_prior
+    from omad.training.train_surfaces import surface_bank
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,6 +64,8 @@ class _Training:
     """Peak learning rate; default: the preset's. Half of it serves for fine-tuning."""
     max_minutes: float | None = None
     """Finish within this time, learning-rate decay and all."""
+    save_seconds: float = 60.0
+    """How often the state to resume from is written; on Ctrl-C and SIGTERM it is, too."""
     seed: Seed = 0
     threads: int = 0
     """CPU threads; 0: PyTorch's choice. One is faster than two where another program computes."""
@@ -59,12 +75,15 @@ class _Training:
     def learn(self, train: Callable[..., Network], preset: Any, **start: Any) -> Answer:
         """Train with the ``preset``, but for what the options say otherwise, and save it. Raises InputError."""
         asked = {"steps": self.steps, "batch": self.batch, "learning_rate": self.learning_rate}
-        check_positive(objects=self.objects, max_minutes=self.max_minutes, **asked)
+        check_positive(objects=self.objects, max_minutes=self.max_minutes, save_seconds=self.save_seconds, **asked)
+        check_seed(self.seed)
         use_threads(self.threads)
         category, device = omad.get_category(self.category), pick_device(self.device)
         models = load_objects(self.source, category, self.objects, "train", 0, self.broken)
         given = {name: value for name, value in asked.items() if value is not None}
-        schedule = replace(preset.schedule, seed=self.seed, max_minutes=self.max_minutes, **given)
+        schedule = replace(
+            preset.schedule, seed=self.seed, max_minutes=self.max_minutes, save_seconds=self.save_seconds, **given
+        )
         start |= {"folder": self.output, "settings": replace(preset, schedule=schedule), "device": device}
         net = train(models=models, category=category, **start)
         save(net, self.output, self.record(schedule))
@@ -80,8 +99,48 @@ class _Training:
 class TrainPrior(_Training):
     """Learn a category's prior (shape basis, joint function) from complete clouds, without keypoint labels."""
 
+    initial: Path | None = None
+    """Prior to fine-tune, on more objects than it was trained on. Its keypoints keep their meaning, so that networks
+    trained with it can be fine-tuned with the new one (train net --initial)."""
+
     def run(self) -> Answer:
-        return self.learn(train_prior, PriorTraining())
+        initial = None if self.initial is None else load_prior(self.initial, "cpu")
+        if initial is not None:
+            check_category("--initial", self.initial, initial.category, self.category)
+        return self.learn(train_prior, PriorTraining(), initial=initial)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainSurface:
+    """Make the bank of objects that estimates take their surfaces from: no training, a minute or two. To be made anew
+    whenever the prior or the procedural generator changes."""
+
+    category: CategoryName
+    weights: Path | None = None
+    """OMADNet checkpoint folder that the bank is for, and is put into; default: the shipped one."""
+    prior: Path | None = None
+    """Checkpoint folder of its prior; default: prior/ in the weights' folder, or the shipped one."""
+    source: str = "procedural"
+    """procedural, or a folder of URDF / PartNet-Mobility models, which are kept with their meshes."""
+    objects: int = 1000
+    """Procedural objects."""
+    threads: int = 0
+    """CPU threads; 0: PyTorch's choice."""
+    device: Device = "auto"
+    json: Json = False
+
+    def run(self) -> Answer:
+        check_positive(objects=self.objects)
+        use_threads(self.threads)
+        folder = find_weights(self.weights or self.category)
+        own = folder / "prior"
+        shipped = self.prior or (own if own.is_dir() else find_weights(self.category) / "prior")
+        net = load(PriorNet, shipped).to(pick_device(self.device))
+        check_category("--prior", shipped, net.category, self.category)
+        models = load_models(self.source, net.category, self.objects, "train", 0).models
+        bank = surface_bank(net, models, generated=self.source == "procedural")
+        path = bank.save(folder)
+        return Answer({"file": str(path), "objects": len(bank), "bytes": path.stat().st_size})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -158,3 +217,37 @@ class TrainNet(_NetTraining):
         prior = load(PriorNet, self.prior or find_weights(self.category) / "prior")
         check_category("--prior", self.prior, prior.category, self.category)
         return prior
+
+
+UNSEEN = 1
+"""Seed of procedural objects that are of the training split, but not those that networks are trained on."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainConfidence(CategoryCommand):
+    """Learn how far to believe a network's answers: intervals of joint states, and the probability that an answer is
+    right. From views of objects that the network has not seen, spoilt at random, and of other things; a few minutes.
+    Writes confidence.json into the checkpoint folder, in place of what is there."""
+
+    source: str = "procedural"
+    """procedural, or a folder of URDF / PartNet-Mobility models; best of such that the network was not trained on."""
+    objects: int = 1000
+    """Procedural objects."""
+    views: int = 2000
+    """To fit on."""
+    seed: Seed = 0
+    threads: int = 1
+    """CPU threads; 0: PyTorch's choice."""
+
+    def run(self) -> Answer:
+        check_positive(objects=self.objects, views=self.views)
+        use_threads(self.threads)
+        folder = find_weights(self.weights or self.category)
+        estimator = self.estimator()
+        category = estimator.category
+        models = load_models(self.source, category, self.objects, "train", UNSEEN).models
+        answers = fitting.answered(estimator, models, self.views, self.seed)
+        confidence = fitting.fit(answers, category, fitting.FittedTo(self.source, self.views, omad.__version__))
+        confidence.save(folder)
+        record = {"checkpoint": str(folder), "views": self.views, **fitting.measured(confidence, answers, category)}
+        return Answer(record)

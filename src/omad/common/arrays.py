@@ -1,6 +1,8 @@
 """NumPy arrays: of whatever a caller has, and kept on disk with a record of what they were made of."""
 
+import hashlib
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +11,7 @@ from torch import Tensor
 
 from .errors import InputError
 from .files import write_atomic
+from .incoming import parse_json, read_arrays
 
 Identity = dict[str, str]
 
@@ -23,6 +26,16 @@ def as_doubles(tensor: Tensor) -> np.ndarray:
     return np.ascontiguousarray(as_numpy(tensor), dtype=np.float64)
 
 
+def digest_of(tensors: Mapping[str, Tensor]) -> str:
+    """Hexadecimal SHA-256 of numbers with their names, kinds and shapes."""
+    digest = hashlib.sha256()
+    for name, tensor in sorted(tensors.items()):
+        array = np.ascontiguousarray(as_numpy(tensor))
+        digest.update(f"{name} {array.dtype} {array.shape}\n".encode())
+        digest.update(array.data)
+    return digest.hexdigest()
+
+
 def save_arrays(path: Path, identity: Identity, **arrays: np.ndarray) -> None:
     """Write a ``.npz``, whole or not at all, with a record of what it was made of."""
     record = json.dumps(identity)
@@ -33,12 +46,12 @@ def load_arrays(path: Path, identity: Identity) -> dict[str, np.ndarray] | None:
     """What ``save_arrays`` wrote; None where there is no such file. Raises InputError for another identity."""
     if not path.is_file():
         return None
-    try:
-        with np.load(path) as file:
-            arrays = dict(file)
-        found = json.loads(str(arrays.pop("identity")))
-    except Exception as error:  # a damaged archive raises anything
-        raise InputError(f"{path}: not a cache of predictions; delete it, or give another --cache") from error
+    cure = "delete it, or give another --cache"
+    arrays = read_arrays(path, "a cache of predictions", cure)
+    if not isinstance(arrays, dict) or "identity" not in arrays:
+        raise InputError(f"{path}: not a cache of predictions; {cure}")
+    found = parse_json(str(arrays.pop("identity")), path, cure)
+    found = found if isinstance(found, dict) else {}
     for name, value in identity.items():
         if found.get(name) != value:
             raise InputError(f"{path}: made with other {name}; delete it, or give another --cache")

@@ -1,33 +1,94 @@
-"""Reading JSON; writing files that are whole or not there."""
+"""Writing files that are whole or not there."""
 
+import errno
 import json
 import os
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from functools import cache
 from pathlib import Path
 from typing import Any
 
-from .errors import InputError
+from .errors import InputError, WorkError
+from .locks import try_lock
+
+TEMPORARY = ".omad-"
+"""What names of unfinished files begin with."""
+NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG)
+"""What goes wrong with a disk, not with a path."""
 
 
 def write_atomic(path: str | Path, write: Callable[[Path], Any]) -> None:
     """Call ``write`` with a temporary path beside ``path``, then rename it: a crash leaves no half-written file. The
-    temporary name ends in the same extension. Raises InputError where the folder cannot be written."""
+    temporary name ends in the same extension. Raises InputError where the folder cannot be written, WorkError where
+    the disk is full."""
     path = Path(path)
+    with writing(path), unfinished(path) as temporary:
+        write(temporary)
+        publish(temporary, path)
+
+
+def publish(temporary: Path, path: Path) -> None:
+    """The finished file gets its name, in place of what had it."""
+    os.umask(umask := os.umask(0))
+    temporary.chmod(0o666 & ~umask)  # mkstemp, and some writers, make files that only their owner may read
+    temporary.replace(path)
+
+
+@contextmanager
+def writing(path: str | Path) -> Iterator[None]:
+    """What goes wrong when ``path`` is written, said in one line: InputError for a path that cannot be written,
+    WorkError for a disk that is full."""
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(prefix=".", suffix=path.suffix, dir=path.parent)
-        os.close(handle)
-        temporary = Path(name)
-        try:
-            write(temporary)
-            os.umask(umask := os.umask(0))
-            temporary.chmod(0o666 & ~umask)  # mkstemp, and some writers, make files that only their owner may read
-            temporary.replace(path)
-        finally:
-            temporary.unlink(missing_ok=True)
+        yield
     except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror}); choose another folder") from error
+        reason = error.strerror or one_line(error)
+        if error.errno in NO_ROOM:
+            raise WorkError(f"{path}: cannot be written ({reason}); what was there before is as it was") from error
+        raise InputError(f"{path}: cannot be written ({reason}); choose another folder") from error
+    except ValueError as error:
+        if "null" in str(error):  # of a path: "embedded null byte"
+            raise InputError(f"{str(path)!r}: is no path; choose another name") from error
+        raise
+
+
+@contextmanager
+def unfinished(path: Path) -> Iterator[Path]:
+    """A new file beside ``path`` to be written and then renamed to it, of the same extension; it is gone afterwards
+    where that did not happen. What a killed process left of such files is taken away."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    _sweep(os.path.realpath(path.parent))
+    handle, name = _locked_file(path)
+    temporary = Path(name)
+    try:
+        yield temporary
+    finally:
+        temporary.unlink(missing_ok=True)
+        os.close(handle)
+
+
+def _locked_file(path: Path) -> tuple[int, str]:
+    """Locked as long as it is written, so that who sweeps knows it for one in use."""
+    while True:
+        handle, name = tempfile.mkstemp(prefix=TEMPORARY, suffix=path.suffix[:20], dir=path.parent)
+        if try_lock(handle) and (os.name == "nt" or os.fstat(handle).st_nlink):
+            return handle, name
+        os.close(handle)  # swept in the moment before it was locked
+
+
+@cache
+def _sweep(folder: str) -> None:
+    """Take away what killed processes left unfinished; once a folder."""
+    if os.name == "nt":
+        return
+    with suppress(OSError), os.scandir(folder) as entries:
+        for entry in entries:
+            if entry.name.startswith(TEMPORARY) and entry.is_file(follow_symlinks=False):
+                handle = os.open(entry.path, os.O_RDONLY)
+                if try_lock(handle):
+                    os.unlink(entry.path)
+                os.close(handle)
 
 
 def make_folder(path: str | Path) -> None:
@@ -38,7 +99,7 @@ def make_folder(path: str | Path) -> None:
         raise InputError(f"{path}: cannot be a folder for output ({error.strerror}); choose another one") from error
 
 
-def one_line(error: Exception) -> str:
+def one_line(error: BaseException) -> str:
     """The message of a foreign error on one line."""
     return " ".join(str(error).split()) or type(error).__name__
 
@@ -51,13 +112,3 @@ def write_json(path: Path, record: dict[str, Any], indent: int | None = None) ->
 def write_text(path: str | Path, text: str) -> None:
     """UTF-8, whole or not at all."""
     write_atomic(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
-
-
-def read_json(path: Path, cure: str) -> Any:
-    """What a JSON file holds. Raises InputError, with the ``cure``, for one that is missing or broken."""
-    if not path.is_file():
-        raise InputError(f"{path}: missing; {cure}")
-    try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: not readable as JSON ({one_line(error)}); {cure}") from error

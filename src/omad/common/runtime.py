@@ -4,6 +4,7 @@ import ctypes
 import os
 import time
 from contextlib import suppress
+from functools import cache
 
 import torch
 
@@ -37,6 +38,14 @@ def keep_freed_memory() -> None:
         mallopt(M_MMAP_MAX, 0)
         mallopt(M_TRIM_THRESHOLD, 2**31 - 1)
         mallopt(M_TOP_PAD, 256 * 2**20)
+
+
+@cache
+def work_in_forks() -> None:
+    """Let processes forked from this one compute, on one thread: the threads of PyTorch's own do not come along, and
+    who waits for them waits for ever."""
+    if hasattr(os, "register_at_fork"):
+        os.register_at_fork(after_in_child=lambda: torch.set_num_threads(1))
 
 
 class Stopwatch:

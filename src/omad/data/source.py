@@ -101,8 +101,13 @@ def _rendered_images(source: str, category: Category, broken: Broken) -> ViewSou
     return ViewSource(rendered, len(rendered), rendered.noise is not None or rendered.clutter)
 
 
+def _unusual(source: str, category: Category, objects: int, split: Split, seed: int) -> ModelSource:
+    return ModelSource([generate(category, index, "unusual", seed) for index in range(objects)])
+
+
 KINDS: dict[str, SourceKind] = {
     "procedural": SourceKind(lambda source: source == "procedural", models=_generated),
+    "unusual": SourceKind(lambda source: source == "unusual", models=_unusual),
     "artimage": SourceKind(is_artimage, surfaces=_artimage_surfaces, images=_artimage_images),
     "rendered": SourceKind(is_view_folder, images=_rendered_images),
     "urdf": SourceKind(lambda source: True, models=_urdfs),

@@ -91,6 +91,8 @@ def draw_views_of(
     like, batch, clutter = bank.points, len(indices), settings.clutter
     joints = bank.joints(indices, scale)
     states = sample_states(joints.limits, generator)
+    if clutter is not None:
+        states = _at_limits(states, joints.limits, clutter.shut, generator)
 
     identity = torch.eye(4, dtype=like.dtype, device=like.device).expand(batch, 4, 4)
     T_base_part = part_transforms(category.tree, joints.axes, joints.pivots, states, identity)
@@ -118,6 +120,15 @@ def draw_views_of(
         picked = add_correlated_noise(picked, Grid.over(centre, posed.radius), spoilt, clutter, generator)
     labels = labels.gather(1, chosen)
     return ViewBatch(picked, labels, states, T_camera_base, joints.axes, joints.pivots, indices, scale)
+
+
+def _at_limits(states: Tensor, limits: Tensor, share: float, generator: torch.Generator) -> Tensor:
+    """``states`` (B, J), of a ``share`` of the views instead all at one end of ``limits`` (B, J, 2)."""
+    drawn = torch.rand(2, len(states), 1, device=states.device, generator=generator)
+    low, high = limits.unbind(-1)
+    near = torch.where(high.abs() < low.abs(), high, low)
+    at_limit = torch.where(drawn[1] < 2 / 3, near, low + high - near)
+    return torch.where(drawn[0] < share, at_limit, states)
 
 
 def _cameras(

@@ -1,6 +1,6 @@
 """What to look at where a result is doubtful: each item says what is wrong, why that may be, and what to do."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -57,6 +57,12 @@ def doubts(observation: Observation, estimate: Estimate, depth_scale: float | No
         *_fit_doubts(estimate),
         *network_doubts(estimate.keypoint_std, category),
     ]
+
+
+def is_doubtful(estimate: Estimate, found: Sequence[Check]) -> bool:
+    """Whether an answer is rather wrong than right: by its probability; where it has none, if something was ``found``
+    to be doubtful."""
+    return bool(found) if estimate.doubtful is None else estimate.doubtful
 
 
 def size_doubts(observation: Observation, category: Category, depth_scale: float | None = None) -> Iterator[Check]:

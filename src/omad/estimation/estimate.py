@@ -6,6 +6,7 @@ import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Self
 
@@ -15,15 +16,23 @@ from omad.common.arrays import as_numpy
 from omad.common.errors import InputError
 from omad.common.files import write_json
 from omad.geometry.joint_kinds import Motion
-from omad.geometry.mesh import convex_hull
+from omad.geometry.mesh import Mesh, convex_hull
 from omad.geometry.rigid import rigid, turned_about
 from omad.model.posed_object import PosedObject
+from omad.model.surfaces.surfaces import PosedSurface, Surfaces
 from omad.objects.category import Category
 from omad.objects.model import ObjectModel
 from omad.objects.pose import ObjectPose
 from omad.objects.urdf import write_urdf
 
+from .confidence.model import deviations
+from .confidence.signals import Signals
 from .part_labels import LabelledPoints
+
+DOUBTFUL = 0.5
+"""Probability of being right below which an answer is called doubtful."""
+INTERVALS = (50, 90)
+"""Per cent, of those that are written."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +44,7 @@ class JointEstimate:
     state: float
     """Radians or metres; 0 at rest."""
     state_std: float
-    """Its standard deviation."""
+    """Its standard deviation: half the interval that holds the true state 68 % of the time."""
     limits: tuple[float, float]
     axis: np.ndarray
     """(3,) unit, camera frame."""
@@ -43,6 +52,17 @@ class JointEstimate:
     """(3,) a point of the axis, camera frame; None where the axis has no place: the joint only slides."""
     unit_motion: Motion
     """What a unit of state does: radians about the axis, metres along it."""
+    tail: float = 1.0
+    """The error is like ``state_std`` times this power of a normally distributed number: 1 of a normal distribution,
+    more where a few answers are far off, as those seen the wrong way round."""
+
+    def interval(self, level: float) -> tuple[float, float]:
+        """What holds the true state with probability ``level``, as 0.9: around the estimated one, in its unit. Raises
+        InputError for a level that is not between 0 and 1."""
+        if not 0 < level < 1:
+            raise InputError(f"level: {level} is no probability between 0 and 1; give 0.9, say")
+        half = self.state_std * deviations(level) ** self.tail
+        return self.state - half, self.state + half
 
     @property
     def fraction(self) -> float:
@@ -71,13 +91,16 @@ class JointEstimate:
 
 
 def _joints(
-    specs: Sequence[tuple[str, str, tuple[float, float], Motion]], placed: ObjectPose, state_std: Sequence[float]
+    specs: Sequence[tuple[str, str, tuple[float, float], Motion]],
+    placed: ObjectPose,
+    state_std: Sequence[float],
+    tail: Sequence[float],
 ) -> tuple[JointEstimate, ...]:
     """Of one object; ``specs`` are names, types, limits and what a unit of state does."""
-    rows = zip(specs, placed.states.tolist(), state_std, placed.axes, placed.pivots, strict=True)
+    rows = zip(specs, placed.states.tolist(), state_std, placed.axes, placed.pivots, tail, strict=True)
     return tuple(
-        JointEstimate(name, kind, state, std, limits, axis, pivot if motion.turns else None, motion)
-        for (name, kind, limits, motion), state, std, axis, pivot in rows
+        JointEstimate(name, kind, state, std, limits, axis, pivot if motion.turns else None, motion, power)
+        for (name, kind, limits, motion), state, std, axis, pivot, power in rows
     )
 
 
@@ -88,12 +111,14 @@ class PoseEstimate(PosedObject):
     joints: tuple[JointEstimate, ...]
 
     @classmethod
-    def of(cls, category: Category, posed: Sequence[PosedObject], state_std: np.ndarray) -> list[PoseEstimate]:
-        """Each of B objects, with the standard deviations (B, J) of the joint states."""
+    def of(
+        cls, category: Category, posed: Sequence[PosedObject], state_std: np.ndarray, tail: np.ndarray
+    ) -> list[PoseEstimate]:
+        """Each of B objects, with the joint states' standard deviations (B, J) and tails (B, J)."""
         limits = [(low, high) for low, high in category.metric_limits.tolist()]
         specs = [(j.name, j.type, pair, j.motion) for j, pair in zip(category.joints, limits, strict=True)]
-        rows = zip(posed, state_std.tolist(), strict=True)
-        return [PoseEstimate(**vars(one), joints=_joints(specs, one.placed, std)) for one, std in rows]
+        rows = zip(posed, state_std.tolist(), tail.tolist(), strict=True)
+        return [PoseEstimate(**vars(one), joints=_joints(specs, one.placed, *spread)) for one, *spread in rows]
 
     @property
     def T_camera_part(self) -> np.ndarray:
@@ -116,6 +141,19 @@ class PoseEstimate(PosedObject):
 
 
 @dataclass(frozen=True)
+class PartEstimate:
+    """One part as seen now."""
+
+    name: str
+    T_camera_part: np.ndarray
+    """(4, 4) canonical rest coordinates to camera."""
+    mesh: Mesh
+    """Its surface, canonical space at rest."""
+    mesh_in_camera: Mesh
+    """Its surface where it is seen, camera frame."""
+
+
+@dataclass(frozen=True)
 class Estimate(PoseEstimate):
     """Shape, pose, joints, keypoints and part labels of one observed object."""
 
@@ -133,14 +171,47 @@ class Estimate(PoseEstimate):
     """What the network said of the parts of the observation's points."""
     initial: PoseEstimate
     """The network's own answer, before any fitting."""
+    signals: Signals = field(default_factory=Signals.none)
+    """What ``probability`` and the joints' deviations were told by; a batch of one."""
+    probability: float | None = None
+    """That no joint state is off by more than 10 degrees, or 10 % of the object's diagonal; None where the checkpoint
+    holds no ``confidence.json``."""
     seconds: dict[str, float] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
+    surfaces: Surfaces | None = field(default=None, repr=False, compare=False)
+    """Where its surface comes from; without, parts are hulls of keypoints."""
+
+    @cached_property
+    def surface(self) -> PosedSurface:
+        """Surfaces of the parts, fitted to what was seen with pose and joint states; worked out at the first time of
+        asking. Raises InputError where the weights' surfaces cannot be read."""
+        if self.surfaces is None:
+            return PosedSurface(self.hulls, self.placed)
+        return self.surfaces.fitted(self, self.covariance, self.labelled.points, self.part_labels)
+
+    @property
+    def hulls(self) -> tuple[Mesh, ...]:
+        """Of each part the convex hull of its keypoints, canonical space at rest."""
+        part_of = np.array(self.category.part_of_keypoint)
+        return tuple(convex_hull(self.canonical_keypoints[part_of == k]) for k in range(len(self.category.parts)))
+
+    @property
+    def parts(self) -> tuple[PartEstimate, ...]:
+        """The parts with their surfaces, as ``surface`` has them."""
+        specs, surface = self.category.parts, self.surface
+        rows = zip(specs, self.T_camera_part, surface.parts, surface.posed(), strict=True)
+        return tuple(PartEstimate(spec.name, T, mesh, posed) for spec, T, mesh, posed in rows)
 
     @property
     def part_labels(self) -> np.ndarray:
         """(N,) part of every point of the observation, -1 for those that are not on the object; worked out at the first
         time of asking."""
         return self.labelled.labels
+
+    @property
+    def doubtful(self) -> bool | None:
+        """Whether it is rather wrong than right; None where that is not known."""
+        return None if self.probability is None else self.probability < DOUBTFUL
 
     def without_labels(self) -> Self:
         """The same without part labels, for which it keeps the observation's points: for who keeps a great many."""
@@ -163,6 +234,8 @@ class Estimate(PoseEstimate):
             {
                 "category": self.category.name,
                 "converged": self.converged,
+                "probability": self.probability,
+                "doubtful": self.doubtful,
                 "residual": self.residual,
                 "beta": self.beta,
                 "T_camera_base": self.T_camera_base,
@@ -176,12 +249,17 @@ class Estimate(PoseEstimate):
         )
 
     def object_model(self, name: str | None = None) -> ObjectModel:
-        """The estimated object at rest. The model knows keypoints, so a part's mesh is their convex hull."""
-        part_of = np.array(self.category.part_of_keypoint)
-        meshes = [convex_hull(self.canonical_keypoints[part_of == k]) for k in range(len(self.category.parts))]
+        """The estimated object at rest, with its surfaces."""
+        return self._model(self.surface.parts, name)
+
+    def hull_model(self) -> ObjectModel:
+        """The estimated object at rest; a part's mesh is the hull of its keypoints."""
+        return self._model(self.hulls, None)
+
+    def _model(self, parts: tuple[Mesh, ...], name: str | None) -> ObjectModel:
         limits = np.array([joint.limits for joint in self.joints])
         name = name or f"estimated_{self.category.name}"
-        return ObjectModel.of(self.category, name, meshes, self.canonical_axes, self.canonical_pivots, limits)
+        return ObjectModel.of(self.category, name, parts, self.canonical_axes, self.canonical_pivots, limits)
 
     def save_urdf(self, path: str | Path) -> None:
         """Write the object as URDF (canonical frame as root, zero = rest) and ``state.json`` beside it."""
@@ -234,7 +312,10 @@ def _checked(name: str, values: Any, shape: tuple[int, ...]) -> np.ndarray:
 
 def _joint_dict(joint: JointEstimate) -> dict[str, Any]:
     values = {**vars(joint), "fraction": joint.fraction}
+    known = math.isfinite(joint.state_std)
+    values |= {f"interval_{level}": joint.interval(level / 100) if known else None for level in INTERVALS}
     motion = values.pop("unit_motion")
+    del values["tail"]
     return values | ({"pitch": 2 * math.pi * motion.slide / motion.turn} if motion.turns and motion.slide else {})
 
 

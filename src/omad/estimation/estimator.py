@@ -4,6 +4,7 @@
     2. a second look in the base frame so found, where every object stands alike; fitted again
 
 Where the first look finds other things than the object, all choices are labelled, and it is repeated without them.
+Where the last look is unsure, it may have begun the wrong way round: others begin in turned frames, the surest counts.
 
 Each look shows the network a few random choices of the points and averages what it says, by confidence.
 """
@@ -21,30 +22,46 @@ from torch import Tensor
 
 from omad.common.arrays import as_doubles, as_numpy
 from omad.common.errors import InputError
-from omad.common.runtime import Stopwatch, pick_device
-from omad.geometry.transforms import transform_points
+from omad.common.runtime import Stopwatch, pick_device, work_in_forks
+from omad.geometry.transforms import quarter_turns, transform_points
 from omad.model.checkpoint import find_weights, load
 from omad.model.fitting.energy import RefinementConfig
 from omad.model.fitting.refinement import Refiner
 from omad.model.fitting.state import Refined, State, Targets
 from omad.model.inference.network import inference_net
 from omad.model.network_input import first_frame, to_input_frame
-from omad.model.omadnet import OmadNet, Prediction
+from omad.model.omadnet import OmadNet
 from omad.model.posed_object import Poser
+from omad.model.surfaces.surfaces import Surfaces
 from omad.objects.category import Category
-from omad.sensing.observation import Observation
+from omad.sensing.observation import FARTHEST, Observation
 
 from .ahead import compile_ahead
 from .checks import network_doubts, size_doubts
+from .confidence.model import Confidence
+from .confidence.signals import Meter, Signals
 from .estimate import Estimate, PoseEstimate
 from .known import Known, Near
+from .look import Look, put_rows, rows_of
 from .several_views import Rig, one_answer
 from .shown import Shown
 
 NOTHING_KNOWN = Known()
+UNSURE = 0.08
+"""Expected keypoint error (geometric mean, category units; 0.03 is usual) above which an object is looked at in turned
+frames, too."""
+SURER = 0.75
+"""The error that another answer expects must be so many times smaller to take its place."""
+
+HALF_TURNS = quarter_turns()[3:6]
+"""(3, 4, 4)."""
 
 Refine = Callable[[Refiner, Targets, State], Refined]
 """Minimises the energy that a refiner states, from an initial state."""
+
+
+MOST = 4096
+"""Samples of a cloud, and observations at a time."""
 
 
 @dataclass(frozen=True)
@@ -64,44 +81,15 @@ class EstimatorConfig:
     batch: int = 128
     """Observations that go through the network together."""
 
+    def __post_init__(self) -> None:
+        counts = [*self.samples, self.near_samples, self.batch]
+        if not self.samples or not all(isinstance(count, int) and 1 <= count <= MOST for count in counts):
+            raise InputError(f"EstimatorConfig: samples, near_samples and batch are numbers from 1 to {MOST}")
+
     @classmethod
     def fast(cls) -> Self:
         """Half the passes of the network, for about a tenth of the accuracy; ``docs/speed.md`` has the figures."""
         return cls(samples=(1, 1), near_samples=1)
-
-
-@dataclass(frozen=True)
-class _Look:
-    """One look at B clouds, in the camera frame and category units."""
-
-    targets: Targets
-    said: Prediction
-    """Of the samples of all clouds, in their frames."""
-    samples: int
-    frame: Tensor
-    """T_camera_input (B, 4, 4)."""
-
-    @cached_property
-    def state(self) -> State:
-        """What the network itself says of the unknowns."""
-        beta, states = (
-            values.unflatten(0, (-1, self.samples)).mean(1) for values in (self.said.beta, self.said.states)
-        )
-        return State(beta, states, self.frame @ self.said.T_input_base[:: self.samples])
-
-    @property
-    def part_logits(self) -> Tensor:
-        """(B, n, K), or K + 1 where the network tells points outside the object."""
-        return self.said.part_logits.unflatten(0, (-1, self.samples)).flatten(1, 2)
-
-    def put(self, rows: Tensor, other: Self) -> None:
-        """Replace what is seen of the clouds ``rows``."""
-        samples = (rows[:, None] * self.samples + torch.arange(self.samples, device=rows.device)).flatten()
-        for mine, theirs in zip(vars(self.said).values(), vars(other.said).values(), strict=True):
-            mine[samples] = theirs
-        for mine, theirs in zip(vars(self.targets).values(), vars(other.targets).values(), strict=True):
-            mine[rows] = theirs
-        self.frame[rows] = other.frame
 
 
 class Estimator:
@@ -113,13 +101,20 @@ class Estimator:
         config: EstimatorConfig | None = None,
         device: str | torch.device = "cpu",
         refine: Refine = Refiner.__call__,
+        confidence: Confidence | None = None,
+        surfaces: Surfaces | None = None,
     ) -> None:
-        """``refine`` takes the place of least squares, for comparison."""
+        """``refine`` takes the place of least squares, for comparison. Without a ``confidence``, answers have no
+        probability, and their joints the least squares' own standard deviations. Estimates take their meshes from
+        ``surfaces``; without, they are hulls of keypoints."""
+        work_in_forks()
         self.device = torch.device(device)
         self.net = net.to(self.device).eval()
         self._forward = inference_net(self.net)
         self.config = config or EstimatorConfig()
         self.refine = refine
+        self.confidence, self.surfaces = confidence, surfaces
+        self._meter = Meter(net.category, net.prior)
         self._kept: dict[int, Refiner] = {}
 
     @classmethod
@@ -132,7 +127,10 @@ class Estimator:
     ) -> Self:
         """``weights``: a category with shipped weights, or a checkpoint folder. What is not yet compiled for this
         machine is compiled here, so that no answer waits for it. Raises InputError."""
-        estimator = cls(load(OmadNet, find_weights(weights)), config, pick_device(device), refine)
+        folder = find_weights(weights)
+        net = load(OmadNet, folder)
+        confidence, surfaces = Confidence.load(folder, net.category), Surfaces.beside(folder, net.prior, net.category)
+        estimator = cls(net, config, pick_device(device), refine, confidence, surfaces)
         compile_ahead(estimator, estimator.category, (estimator.config, estimator.device.type, refine))
         return estimator
 
@@ -158,8 +156,10 @@ class Estimator:
         if T_world_camera is not None:
             return self._together(observation, known, T_world_camera)
         if isinstance(observation, Observation):
+            _check([observation])
             return self._estimate([observation], known)[0]
         size = self.config.batch
+        _check(observation)
         return [e for i in range(0, len(observation), size) for e in self._estimate(observation[i : i + size], known)]
 
     def near(self, observation: Observation, near: Near) -> Estimate:
@@ -169,7 +169,8 @@ class Estimator:
     def moved(self, estimate: Estimate, state: Near, covariance: np.ndarray) -> Estimate:
         """The answer with another shape, pose and joint states, those of a filter say; ``covariance`` (P, P) theirs."""
         posed = self._posed(state.start(self.category, self.net.prior.learned_basis))
-        [moved] = PoseEstimate.of(self.category, posed, _state_std(covariance[None], self.category))
+        std = _state_std(covariance[None], self.category)
+        [moved] = PoseEstimate.of(self.category, posed, std, np.ones_like(std))
         return replace(estimate, **vars(moved), covariance=covariance)
 
     def _together(
@@ -177,6 +178,7 @@ class Estimator:
     ) -> list[Estimate]:
         if isinstance(views, Observation) or not views:
             raise InputError("T_world_camera: is for several views of one object; give a list of observations with it")
+        _check(views)
         rig = Rig.of(T_world_camera, len(views), self.category.metres_per_unit, self.net.prior.learned_basis)
         return one_answer(self._estimate(views, known, rig=rig)) if len(views) > 1 else self._estimate(views, known)
 
@@ -200,10 +202,14 @@ class Estimator:
         if labels and (crowded := shown.crowded(as_numpy(seen[0].part_logits))):
             rows = torch.tensor(crowded, device=self.device)
             said = self._look(shown.clouds[rows], frame[rows], labels=True).part_logits
-            shown = shown.without_outside(crowded, as_numpy(said), config.seed)
-            clouds = shown.clouds[rows]
+            cleaned = shown.without_outside(crowded, as_numpy(said), config.seed)
+            clouds = cleaned.clouds[rows]
             again = first_frame(clouds.flatten(1, 2)) if start is None else frame[rows]
-            seen[0].put(rows, self._look(clouds[:, : looks[0]], again, labels=True))
+            look = self._look(clouds[:, : looks[0]], again, labels=True)
+            # what is said of single points may be wrong: then the object is seen less surely without them
+            surer = torch.nonzero(look.expected_error < seen[0].of(rows).expected_error)[:, 0]
+            shown = shown.with_rows_of(cleaned, rows[surer].tolist())
+            seen[0].put(rows[surer], look.of(surer))
         watch.lap("network")
         refined = self._refine(seen[0], start, known, near, rig)
         watch.lap("refinement")
@@ -214,9 +220,30 @@ class Estimator:
             watch.lap("network")
             refined = self._refine(seen[-1], start, known, near, rig)
             watch.lap("refinement")
+        if near is None and rig is None:
+            self._look_turned(shown, seen[-1], refined, known)
+            watch.lap("network")
         return self._answers(shown, seen, refined, watch.shares(len(observations)))
 
-    def _look(self, clouds: Tensor, frame: Tensor, labels: bool) -> _Look:
+    def _look_turned(self, shown: Shown, last: Look, refined: Refined, known: Known) -> None:
+        """Of clouds that the ``last`` look is unsure of, look again in its frame turned by half about each axis, and
+        where one of these answers is surer, put it in place of those given."""
+        rows = torch.nonzero(last.expected_error > UNSURE)[:, 0]
+        if not len(rows):
+            return
+        clouds = shown.clouds[rows].repeat_interleave(len(HALF_TURNS), 0)
+        frame = (refined.state.T_camera_base[rows, None] @ HALF_TURNS.to(clouds)).flatten(0, 1)
+        first = self._look(clouds[:, : self.config.samples[0]], frame, labels=False)
+        start = self._refine(first, None, known, None).state
+        again = self._look(clouds[:, -last.samples :], start.T_camera_base, labels=True)
+        turned = self._refine(again, start, known, None)
+        expected, best = again.expected_error.view(-1, len(HALF_TURNS)).min(1)
+        better = torch.nonzero(expected < SURER * last.expected_error[rows])[:, 0]
+        chosen = better * len(HALF_TURNS) + best[better]
+        last.put(rows[better], again.of(chosen))
+        put_rows(refined, rows[better], rows_of(turned, chosen))
+
+    def _look(self, clouds: Tensor, frame: Tensor, labels: bool) -> Look:
         """Run the network in ``frame`` (B, 4, 4) on all samples of each cloud and average its answers."""
         samples = clouds.shape[1]
         shown = to_input_frame(clouds.flatten(1, 2), frame).view(-1, *clouds.shape[2:])
@@ -231,10 +258,10 @@ class Estimator:
         precision = each((-2 * log_sigma).exp())
         total = precision.sum(1)
         mean = (precision[..., None] * each(said.keypoints)).sum(1) / total[..., None]
-        return _Look(Targets(transform_points(frame, mean), total / samples), said, samples, frame)
+        return Look(Targets(transform_points(frame, mean), total / samples), said, samples, frame)
 
     def _refine(
-        self, look: _Look, start: State | None, known: Known, near: Near | None, rig: Rig | None = None
+        self, look: Look, start: State | None, known: Known, near: Near | None, rig: Rig | None = None
     ) -> Refined:
         """From ``start``, or where there is none from the network's answer with the base where its keypoints say: they
         have no seam, as its quaternion has one somewhere on the circle around the object."""
@@ -266,23 +293,26 @@ class Estimator:
         return refiner
 
     def _answers(
-        self, shown: Shown, looks: Sequence[_Look], refined: Refined, seconds: dict[str, float]
+        self, shown: Shown, looks: Sequence[Look], refined: Refined, seconds: dict[str, float]
     ) -> list[Estimate]:
         category, unit, joints = self.category, self.category.metres_per_unit, len(self.category.joints)
         # from the refinement's unknowns to metres, radians and beta
         scale = np.concatenate([np.ones(3), np.full(3, unit), category.state_units, np.ones(self.net.prior.basis_size)])
         covariance = as_doubles(refined.covariance) * (scale[:, None] * scale)
         # the fit's answers and the network's own, whose deviations are not known
-        rows = torch.cat([refined.state.pack(), looks[0].state.pack()])
-        std = _state_std(covariance, category)
-        poses = PoseEstimate.of(
-            category, self._posed(State.unpack(rows, joints)), np.concatenate([std, np.full_like(std, np.nan)])
-        )
-        final, initial = poses[: len(std)], poses[len(std) :]
+        rows, last = torch.cat([refined.state.pack(), looks[0].state.pack()]), looks[-1]
+        posed = self._posed(State.unpack(rows, joints))
+        batch = len(posed) // 2
+        keypoints = np.stack([one.keypoints for one in posed[:batch]]) / unit
+        clouds = shown.clouds[:, -last.samples :]
+        signals = self._meter(shown.observations, clouds, last.frame, last.said, last.targets, refined, keypoints)
+        std, tail, probability = self._judged(signals, _state_std(covariance, category))
+        final = PoseEstimate.of(category, posed[:batch], std, tail)
+        initial = PoseEstimate.of(category, posed[batch:], np.full_like(std, np.nan), np.ones_like(std))
         converged, residual = refined.converged.tolist(), (refined.residual * unit).tolist()
-        keypoint_std = unit / np.sqrt(as_doubles(looks[-1].targets.weights))
-        observed = as_doubles(looks[-1].targets.keypoints) * unit
-        logits = as_numpy(looks[-1].part_logits)
+        keypoint_std = unit / np.sqrt(as_doubles(last.targets.weights))
+        observed = as_doubles(last.targets.keypoints) * unit
+        logits, own_signals = as_numpy(last.part_logits), signals.rows()
         estimates = []
         for b, observation in enumerate(shown.observations):
             doubts = [*size_doubts(observation, category), *network_doubts(keypoint_std[b], category)]
@@ -297,11 +327,34 @@ class Estimator:
                     residual=residual[b],
                     labelled=shown.labelled(b, logits[b]),
                     initial=initial[b],
+                    signals=own_signals[b],
+                    probability=probability[b],
                     seconds=dict(seconds),
                     warnings=(*observation.warnings, *map(str, doubts)),
+                    surfaces=self.surfaces,
                 )
             )
         return estimates
+
+    def _judged(self, signals: Signals, std: np.ndarray) -> tuple[np.ndarray, np.ndarray, list[float] | list[None]]:
+        """``state_std`` (B, J), ``tail`` (B, J) and ``probability`` of B answers whose joint states have the standard
+        deviations ``std`` (B, J) by least squares; those that were held fixed keep their zero."""
+        if self.confidence is None:
+            return std, np.ones_like(std), [None] * len(std)
+        found, tail = self.confidence.spreads(signals, self.category)
+        return np.where(std == 0, 0.0, found), tail, self.confidence.probabilities(signals).tolist()
+
+
+def _check(observations: Any) -> None:
+    """Raises InputError that tells which of them is none, or holds points that are no places."""
+    if not isinstance(observations, Sequence):
+        raise InputError(f"observation: is {type(observations).__name__}; give an omad.Observation, or a list of them")
+    for index, one in enumerate(observations):
+        points = getattr(one, "points", None)
+        if not isinstance(points, np.ndarray) or points.ndim != 2 or points.shape[1] != 3 or not len(points):
+            raise InputError(f"observation {index}: has no points (N, 3); make it with Observation.from_depth")
+        if not max(-points.min(), points.max()) <= FARTHEST:  # not for NaN either
+            raise InputError(f"observation {index}: has points that are not finite, or too far away; leave them out")
 
 
 def _state_std(covariance: np.ndarray, category: Category) -> np.ndarray:

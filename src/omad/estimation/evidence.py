@@ -75,7 +75,7 @@ def _visible(estimate: Estimate, points: np.ndarray) -> np.ndarray:
     f = PIXELS / max(float((high - low).max()), 1e-6)
     width, height = (np.ceil((high - low) * f).astype(int) + 1).tolist()
     camera = Camera(width, height, f, f, float(-low[0] * f), float(-low[1] * f))
-    depth = render(estimate.object_model(), estimate.joint_states, estimate.T_camera_base, camera).depth
+    depth = render(estimate.hull_model(), estimate.joint_states, estimate.T_camera_base, camera).depth
     rows, columns = np.nonzero(depth)
     return camera.backproject(np.stack([columns, rows], 1), depth[rows, columns].astype(np.float64))
 

@@ -13,6 +13,9 @@ from omad.model.fitting.refinement import free_directions
 from omad.model.fitting.state import State
 from omad.objects.category import Category
 
+LARGEST = 1e4
+"""Of what can be known: radians, metres, numbers of beta."""
+
 
 @dataclass(frozen=True)
 class Known:
@@ -35,8 +38,17 @@ class Known:
         shapes = {"beta": (basis_size,), "joint_states": (len(category.joints),), "gravity": (3,)}
         for name, shape in shapes.items():
             value = getattr(self, name)
-            if value is not None and np.shape(value) != shape:
-                raise InputError(f"known {name}: shape {np.shape(value)}, expected {shape}")
+            if value is None:
+                continue
+            try:
+                found = np.asarray(value, dtype=np.float64)
+            except (TypeError, ValueError) as error:
+                raise InputError(f"known {name}: holds no numbers; pass {shape} of them") from error
+            if found.shape != shape:
+                raise InputError(f"known {name}: shape {found.shape}, expected {shape}")
+            unknown = np.isnan(found) if name == "joint_states" else np.zeros(shape, dtype=bool)
+            if not (unknown | (np.abs(found) <= LARGEST)).all():
+                raise InputError(f"known {name}: holds numbers that are not finite, or too large to mean anything")
         if self.gravity is not None and not np.linalg.norm(self.gravity) > 0:
             raise InputError("known gravity: a direction is needed, got a zero or NaN vector")
 
@@ -44,9 +56,9 @@ class Known:
         """``start`` (category units) with the known values in place of its own."""
         beta, states, pose = start.beta, start.joint_states, start.T_camera_base
         if self.beta is not None:
-            beta = torch.as_tensor(self.beta).to(beta).expand_as(beta).clone()
+            beta = torch.as_tensor(np.asarray(self.beta, dtype=np.float64)).to(beta).expand_as(beta).clone()
         if self.joint_states is not None:
-            known = torch.as_tensor(np.asarray(self.joint_states) / category.state_units).to(states)
+            known = torch.as_tensor(np.asarray(self.joint_states, dtype=np.float64) / category.state_units).to(states)
             states = torch.where(known.isnan(), states, known)
         if self.gravity is not None:
             pose = _upright(pose, torch.as_tensor(np.asarray(self.gravity)).to(pose))
@@ -74,7 +86,7 @@ class Near:
     def start(self, category: Category, like: Tensor) -> State:
         """In category units, a batch of one; dtype and device are those of ``like``."""
         pose = rigid(self.T_camera_base[:3, :3], self.T_camera_base[:3, 3] / category.metres_per_unit)
-        values = (self.beta, np.asarray(self.joint_states) / category.state_units, pose)
+        values = (self.beta, np.asarray(self.joint_states, dtype=np.float64) / category.state_units, pose)
         return State(*(torch.as_tensor(value).to(like)[None] for value in values))
 
 

@@ -71,6 +71,14 @@ class Shown:
         clouds = self.clouds.index_copy(0, torch.tensor(list(kept), device=clouds.device), clouds)
         return replace(self, clouds=clouds, chosen=chosen, first=first)
 
+    def with_rows_of(self, other: Shown, rows: Sequence[int]) -> Shown:
+        """With what ``other`` has of the clouds ``rows``."""
+        chosen, clouds = list(self.chosen), self.clouds.clone()
+        for b in rows:
+            chosen[b], clouds[b] = other.chosen[b], other.clouds[b]
+        first = {b: said for b, said in other.first.items() if b in set(rows)}
+        return replace(self, clouds=clouds, chosen=chosen, first=self.first | first)
+
     def labelled(self, b: int, logits: np.ndarray) -> LabelledPoints:
         """Cloud ``b`` with what the last look said of its points, ``logits`` (m, K) or (m, K + 1), and of points that
         it was not shown what was said before."""

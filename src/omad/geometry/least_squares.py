@@ -41,10 +41,10 @@ class TrustRegionConfig:
 class TerminationConfig:
     """When a problem is done."""
 
-    max_iterations: int = 50
+    max_iterations: int = 1000
     step_tolerance: float = 1e-6
     """Converged when no unknown moves by more than this in a step (an accepted one, or one hardly damped)."""
-    cost_tolerance: float = 1e-9
+    cost_tolerance: float = 1e-12
     """Converged when an accepted step lowers the cost by less than this share of it."""
 
 
@@ -127,12 +127,16 @@ def minimise(
     trust_region: TrustRegionConfig = DEFAULT_TRUST_REGION,
     termination: TerminationConfig = DEFAULT_TERMINATION,
     robust: Huber | None = None,
+    far: bool = True,
 ) -> Solution:
     """Minimise the sum of squared residuals of every problem, starting at ``x0`` (B, N).
 
     ``linearise(x, indices)`` is given the points (b, N) of the problems ``indices`` (b,) of the batch still at
     work; ``retract(x, step, indices)`` moves them by ``step`` (b, P). An unknown whose Jacobian column is zero
     stays exactly where it is. A problem that is not finite at ``x0`` is returned as it came, not converged.
+
+    ``far``: the start may be anywhere. Unknowns are then damped by what they counted most on the way (More, "The
+    Levenberg-Marquardt algorithm", 1978), so that a step into a plain, where they hardly count, stays short.
     """
     floor = torch.finfo(x0.dtype).eps
     indices = torch.arange(len(x0), device=x0.device)
@@ -146,12 +150,14 @@ def minimise(
     gradient, hessian = start.gradient[indices], start.hessian[indices]
     damping = torch.full_like(cost, trust_region.initial_damping)
     growth = torch.full_like(cost, 2.0)
+    steepest = hessian.diagonal(dim1=-2, dim2=-1).clone()
     for iteration in range(1, termination.max_iterations + 1):
         if not len(indices):
             break
         # Damping follows Marquardt's scaling, so radians, lengths and shape parameters need no common unit.
         diagonal = hessian.diagonal(dim1=-2, dim2=-1)
-        scale = diagonal.clamp(min=trust_region.diagonal_floor * diagonal.amax(1, keepdim=True))
+        steepest = steepest.maximum(diagonal) if far else diagonal
+        scale = steepest.clamp(min=trust_region.diagonal_floor * diagonal.amax(1, keepdim=True))
         scale = damping[:, None] * torch.where(scale > 0, scale, 1.0)
         factor, failed = torch.linalg.cholesky_ex(hessian + torch.diag_embed(scale))
         step = -torch.cholesky_solve(gradient[..., None], factor).squeeze(-1)
@@ -177,6 +183,9 @@ def minimise(
         unmeasurable = (predicted <= 8 * floor * cost) | (still & ~damped)
         converged = torch.where(accept, small, unmeasurable & (failed == 0))
         stuck = damping > trust_region.max_damping
+        # where an unknown no longer counts that did before, the cost is flat, but not at its least
+        flat = (hessian.diagonal(dim1=-2, dim2=-1) < trust_region.diagonal_floor * steepest).any(1)
+        converged, stuck = converged & ~flat, stuck | converged
 
         x = torch.where(accept[:, None], trial, x)
         cost = torch.where(accept, new.cost, cost)
@@ -189,5 +198,5 @@ def minimise(
             x_out[indices], cost_out[indices], hessian_out[indices] = x, cost, hessian
             converged_out[indices], iterations_out[indices] = converged, iteration
             indices, x, cost, gradient, hessian = indices[stay], x[stay], cost[stay], gradient[stay], hessian[stay]
-            damping, growth = damping[stay], growth[stay]
+            damping, growth, steepest = damping[stay], growth[stay], steepest[stay]
     return Solution(x_out, cost_out, start.cost, hessian_out, converged_out, iterations_out)

@@ -45,9 +45,28 @@ def merge_meshes(meshes: Iterable[Mesh]) -> Mesh:
     return Mesh(np.concatenate([mesh.vertices for mesh in meshes]), np.concatenate(faces))
 
 
+def closed(mesh: Mesh) -> bool:
+    """Whether a mesh is a union of closed, outward-oriented surfaces."""
+    import trimesh  # slow to import, and an answer does without
+
+    solid = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+    return bool(solid.is_watertight and solid.volume > 0)
+
+
 def triangle_normals(triangles: np.ndarray) -> np.ndarray:
     """(F, 3) normals of triangles (F, 3, 3), each twice as long as its triangle's area."""
     return np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+
+
+def sample_triangles(triangles: np.ndarray, count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """``count`` points (N, 3) drawn uniformly by area from triangles (F, 3, 3), and the triangle of each, (N,)."""
+    area = np.linalg.norm(triangle_normals(triangles), axis=1)
+    chosen = rng.choice(len(triangles), count, p=area / area.sum())
+    u, v = rng.random((2, count, 1))
+    flip = u + v > 1
+    u, v = np.where(flip, 1 - u, u), np.where(flip, 1 - v, v)
+    a, b, c = triangles[chosen].swapaxes(0, 1)
+    return a + u * (b - a) + v * (c - a), chosen
 
 
 def convex_hull(points: np.ndarray) -> Mesh:

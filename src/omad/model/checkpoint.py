@@ -1,24 +1,32 @@
 """A checkpoint is a folder that is complete alone: ``config.json`` (what it is) and ``model.safetensors``."""
 
 import json
+import os
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, ClassVar, Self, TypeVar
 
-from safetensors import SafetensorError
-from safetensors.torch import load_file, save_file
+import safetensors
+import safetensors.torch
 from torch import nn
 
+from omad.common.arrays import digest_of
 from omad.common.decode import decode
 from omad.common.errors import InputError
-from omad.common.files import one_line, write_atomic
+from omad.common.files import write_atomic, write_text
+from omad.common.incoming import as_path, is_file, read_json, readable
+from omad.common.limits import check_limit
 from omad.objects.builtin import builtin_names
 from omad.objects.category import Category
 
 FORMAT = 1
+CHECKSUM = "sha256"
+"""What the weights' file says of its numbers; earlier ones say nothing."""
+LARGEST = 1e6
+"""Of a weight."""
 WEIGHTS = Path(__file__).parent / "weights"
 """Shipped weights: ``<category>/`` is OMADNet, ``<category>/prior/`` is OMAD-PriorNet, ``<category>/ancsh/`` A-NCSH,
-``<category>/siamese/`` the Siamese network, ``<category>/cluttered/`` an OMADNet for sloppy masks."""
+``<category>/siamese/`` the Siamese network."""
 
 
 class Network(nn.Module):
@@ -46,49 +54,50 @@ def save(net: Network, folder: Path, training: dict[str, Any]) -> None:
     config = {"format": FORMAT, "kind": net.kind, **net.sizes(), "category": asdict(net.category), "training": training}
     tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in net.state_dict().items()}
     text = json.dumps(config, indent=1, default=str) + "\n"
-    write_atomic(folder / "model.safetensors", lambda path: save_file(tensors, path))
-    write_atomic(folder / "config.json", lambda path: path.write_text(text))
+    content = safetensors.torch.save(tensors, {CHECKSUM: digest_of(tensors)})
+    write_atomic(folder / "model.safetensors", lambda path: path.write_bytes(content))
+    write_text(folder / "config.json", text)
 
 
 def load(network: type[N], folder: Path) -> N:
     """Read a network on the CPU, ready to run. Raises InputError for anything that is not its checkpoint."""
     config, path = _read_config(folder, network), folder / "model.safetensors"
-    try:
+    with readable(folder / "config.json", "a checkpoint's description", "copy it anew"):
         net = network.from_sizes(category_from_dict(config["category"]), config)
-    except Exception as error:  # a network of senseless sizes raises anything
-        reason = one_line(error)
-        raise InputError(f"{folder / 'config.json'}: a field is missing or wrong ({reason}); copy it anew") from error
-    try:
-        net.load_state_dict(load_file(path))
-    except FileNotFoundError as error:
-        raise InputError(f"{path}: missing; copy the whole checkpoint folder") from error
-    except (SafetensorError, RuntimeError, OSError) as error:
-        reason = str(error).splitlines()[0].rstrip(":")
-        raise InputError(f"{path}: damaged or of another network ({reason}); copy or train it anew") from error
-    if not all(tensor.isfinite().all() for tensor in net.state_dict().values()):
-        raise InputError(f"{path}: holds numbers that are not finite; copy or train it anew")
+    if not is_file(path):
+        raise InputError(f"{path}: missing; copy the whole checkpoint folder")
+    with readable(path, "the weights of this network", "copy or train it anew"):
+        check_limit("data_bytes", path.stat().st_size, f"{path}: the file")
+        with safetensors.safe_open(path, "pt") as file:
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (it is no dict)
+            checksum = (file.metadata() or {}).get(CHECKSUM)
+        if checksum not in (None, digest_of(tensors)):
+            raise InputError(f"{path}: is damaged (its numbers do not give its checksum); copy or train it anew")
+        net.load_state_dict(tensors)
+    if not all((tensor.abs() <= LARGEST).all() for tensor in net.state_dict().values()):  # not for NaN either
+        raise InputError(f"{path}: holds numbers that are not finite, or far too large; copy or train it anew")
     return net.eval().requires_grad_(False)
 
 
 def is_checkpoint(folder: Path) -> bool:
     """Whether there is a checkpoint, of whatever network."""
-    return (folder / "config.json").is_file()
+    return is_file(folder / "config.json")
 
 
 def training_record(network: type[Network], folder: Path) -> dict[str, Any]:
     """What a checkpoint remembers of its training. Raises InputError."""
-    return _read_config(folder, network)["training"]
+    found = _read_config(folder, network).get("training", {})
+    return found if isinstance(found, dict) else {}
 
 
 def find_weights(name: str | Path) -> Path:
-    """The folder of a category's shipped weights, or of others that are shipped for it ("laptop/cluttered"), or
-    ``name`` itself where it is a checkpoint folder. A ``Path`` is a folder, even one that is called like a category."""
-    if not isinstance(name, Path) and name in builtin_names() and (WEIGHTS / name).is_dir():
+    """The folder of a category's shipped weights, or ``name`` itself where it is a checkpoint folder. A ``Path`` is a
+    folder, even one that is called like a category."""
+    if isinstance(name, str) and name in builtin_names() and (WEIGHTS / name).is_dir():
         return WEIGHTS / name
-    if Path(name).is_dir():
+    name = name if isinstance(name, Path) else str(as_path(name, "a checkpoint folder, or a category with weights"))
+    if os.path.isdir(name):
         return Path(name)
-    if len(Path(name).parts) == 2 and is_checkpoint(WEIGHTS / name):
-        return WEIGHTS / name
     if isinstance(name, Path):
         raise InputError(f"{name}: no such folder; give the folder that a training wrote")
     known = ", ".join(shipped_categories()) or "none"
@@ -103,7 +112,7 @@ def shipped_categories() -> list[str]:
 def category_from_dict(values: dict[str, Any]) -> Category:
     """A category spec from its ``asdict`` form, as JSON gives it back. Raises ValueError for anything else. Checkpoints
     written before joints had their rest rules list them for all joints in the category's ``rest``."""
-    if "rest" in values:
+    if isinstance(values, dict) and "rest" in values:
         joints = zip(values["joints"], values["rest"], strict=True)
         values = {**values, "joints": [{**joint, "rest": rule} for joint, rule in joints]}
         del values["rest"]
@@ -114,13 +123,13 @@ def _read_config(folder: Path, network: type[Network]) -> dict[str, Any]:
     path = folder / "config.json"
     if not is_checkpoint(folder):
         raise InputError(f"{folder}: no config.json here; give the folder that a training wrote")
-    try:
-        config = json.loads(path.read_text())
-        found = config["format"], config["kind"]
-    except (ValueError, KeyError, TypeError) as error:
-        raise InputError(f"{path}: not a checkpoint of this program; give the folder that a training wrote") from error
+    cure = "give the folder that a training wrote"
+    config = read_json(path, cure)
+    found = (config.get("format"), config.get("kind")) if isinstance(config, dict) else (None, None)
+    if None in found or not isinstance(config.get("category"), dict):
+        raise InputError(f"{path}: not a checkpoint of this program; {cure}")
     if found[0] != FORMAT:
-        raise InputError(f"{path}: format {found[0]}, this version reads {FORMAT}; install its version")
+        raise InputError(f"{path}: format {found[0]!r}, this version reads {FORMAT}; install its version")
     if found[1] != network.kind:
         raise InputError(f"{path}: holds a {found[1]!r} where a {network.kind!r} is needed; give the other folder")
     return config

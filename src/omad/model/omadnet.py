@@ -11,6 +11,7 @@ from typing import Any, Self
 import torch
 from torch import Tensor, nn
 
+from omad.common.decode import decode
 from omad.geometry.transforms import make_transform, quaternion_to_matrix
 from omad.objects.category import Category
 
@@ -85,15 +86,21 @@ class OmadNet(Network):
     @classmethod
     def from_sizes(cls, category: Category, sizes: dict[str, Any]) -> Self:
         backbone = backbone_from_dict(sizes["backbone"])
-        told = sizes.get("attention", True), sizes.get("tells_outside", False)
+        told = (decode(bool, sizes.get(*name)) for name in (("attention", True), ("tells_outside", False)))
         return cls(category, OmadPrior(category), backbone, *told)
 
     def start_from(self, other: Self) -> None:
-        """Take over the weights of another network, which may tell no points outside the object yet."""
+        """Take over the weights of another network, which may tell no points outside the object yet. Where its prior is
+        another one, its beta is translated: keypoints stay where they were, as nearly as the own basis can."""
         weights = other.state_dict()
         if self.tells_outside and not other.tells_outside:
             weights |= {name: nn.functional.pad(weights[name], pad) for name, pad in NEW_CLASS.items()}
-        self.load_state_dict(weights)
+        if not torch.equal(self.prior.basis, other.prior.basis):
+            translate = self.prior.encode(other.prior.basis.permute(2, 0, 1)).mT
+            weight, bias = weights["shape_branch.2.weight"], weights["shape_branch.2.bias"]
+            bias = translate @ (other.prior.beta_mean + bias) - self.prior.beta_mean
+            weights |= {"shape_branch.2.weight": translate @ weight, "shape_branch.2.bias": bias}
+        self.load_state_dict(weights | self.prior.state_dict(prefix="prior."))
 
     def forward(self, points: Tensor, labels: bool = True) -> Prediction:
         """points (B, N, 3) in the input frame, in random order; without ``labels`` the ``part_logits`` are of none."""

@@ -9,6 +9,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from omad.common.decode import within
+from omad.common.limits import check_limit
 from omad.geometry.joint_kinds import JointType, Motion, motion_of
 from omad.geometry.kinematics import KinematicTree
 
@@ -17,6 +18,9 @@ RestRule = Literal["closed", "perpendicular", "tips together", "zero"]
 parent, two long parts that cross at the joint point the same way, or it is the source's own zero."""
 SLIDING_REST_RULES: tuple[RestRule, ...] = ("closed", "zero")
 """Those that make sense for a joint that does not turn."""
+LARGEST = 1e4
+"""Of a length in metres, an angle, a number of units."""
+LONGEST_NAME = 100
 
 
 @dataclass(frozen=True)
@@ -35,6 +39,7 @@ class PartSpec:
     outside of them is of another kind."""
 
     def __post_init__(self) -> None:
+        _check_name(self.name)
         if self.keypoints < 1:
             raise ValueError(f"keypoints: is {self.keypoints}; give a whole number from 1")
         if any(not 0 <= least < most for least, most in self.sides or ()):
@@ -62,10 +67,13 @@ class JointSpec:
 
     def __post_init__(self) -> None:
         for field, direction in (("axis", self.axis), ("reach", self.reach), ("side", self.side)):
-            if direction is not None and not any(direction):
+            if direction is not None and not 1e-6 <= max(map(abs, direction)) <= LARGEST:
                 raise ValueError(f"{field}: is {direction}, which has no direction; give another one")
+        _check_name(self.name)
         if not self.limits[0] < self.limits[1]:
             raise ValueError("limits: is an empty range; give the low end first, and a higher one")
+        if max(map(abs, (*self.limits, self.pitch or 0.0))) > LARGEST:
+            raise ValueError(f"limits: or the pitch is beyond {LARGEST:g}; no joint goes so far")
         try:
             turns = self.motion.turns
         except ValueError as error:
@@ -117,9 +125,17 @@ class Category:
     """What data sets call the category besides ``name``: a model that says it is of another one is refused."""
 
     def __post_init__(self) -> None:
+        _check_name(self.name)
         check_unit(self.metres_per_unit)
-        if self.basis_size < 1:
-            raise ValueError(f"basis_size: is {self.basis_size}; give a whole number from 1")
+        for field, size, limit in (
+            ("parts", len(self.parts), "parts"),
+            ("parts: keypoints", self.num_keypoints, "keypoints"),
+            ("basis_size", self.basis_size, "basis_size"),
+        ):
+            with within(f"{field}: "):
+                check_limit(limit, size, "this category")
+        if not 1 <= self.basis_size <= 3 * self.num_keypoints:
+            raise ValueError(f"basis_size: is {self.basis_size}; give a whole number from 1 to three a keypoint")
         if not self.joints or len(self.parts) != len(self.joints) + 1:
             raise ValueError("parts: needs a base and at least one part that moves, each by a joint of its own")
         for index, part in enumerate(self.parts):
@@ -187,6 +203,14 @@ def check_unit(metres_per_unit: float) -> None:
     """Raises ValueError for a length that nothing can be measured in."""
     if not 0 < metres_per_unit < math.inf:
         raise ValueError(f"metres_per_unit: is {metres_per_unit}; give a number above 0")
+    if not 1 / LARGEST <= metres_per_unit <= LARGEST:
+        raise ValueError(f"metres_per_unit: is {metres_per_unit}; no object is so small or so large")
+
+
+def _check_name(name: str) -> None:
+    """Names become those of files and links."""
+    if not 0 < len(name) <= LONGEST_NAME or {*name} & {*"/\\\0\n"} or name in (".", ".."):
+        raise ValueError(f"name: is {name[:LONGEST_NAME]!r}; give a short one without / and \\")
 
 
 def _check_unique(named: PartSpec | JointSpec, all: Sequence[PartSpec | JointSpec]) -> None:

@@ -14,10 +14,8 @@ Angles are in degrees, lengths in metres. Every part but the first, which is the
 joint. `docs/own-category.md` explains the fields.
 """
 
-import json
 import math
 import re
-import tomllib
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -25,7 +23,7 @@ from typing import Annotated, Any
 
 from omad.common.decode import decode, within
 from omad.common.errors import InputError
-from omad.common.files import one_line
+from omad.common.incoming import existing, read_json, read_toml
 from omad.geometry.joint_kinds import JointType
 
 from .builtin import FOLDER, builtin_names
@@ -100,7 +98,7 @@ def get_category(name: str | Path) -> Category:
 
 def is_spec_file(name: str | Path) -> bool:
     """Whether ``name`` means a file: by its extension."""
-    return Path(name).suffix.lower() in (".toml", ".json")
+    return Path(str(name)).suffix.lower() in (".toml", ".json")
 
 
 def read_spec(path: str | Path) -> Category:
@@ -117,13 +115,9 @@ def _builtin(name: str) -> Category:
 
 
 def _read(path: Path) -> Category:
-    if not path.is_file():
-        raise InputError(f"{path}: no such file; give a category's spec file, or a built-in category's name")
-    try:
-        text = path.read_text(encoding="utf-8")
-        values = json.loads(text) if path.suffix.lower() == ".json" else tomllib.loads(text)
-    except (OSError, ValueError) as error:  # decoding errors of text, TOML and JSON are ValueErrors
-        raise InputError(f"{path}: cannot be read ({one_line(error)}); repair the file") from error
+    cure = "repair the file"
+    path = existing(path, "a category's spec file, or a built-in category's name")
+    values = read_json(path, cure) if path.suffix.lower() == ".json" else read_toml(path, cure)
     try:
         return _category(decode(_File, values))
     except ValueError as error:

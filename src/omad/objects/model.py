@@ -9,7 +9,7 @@ import torch
 
 from omad.geometry.joint_kinds import Motion
 from omad.geometry.kinematics import KinematicTree, part_transforms
-from omad.geometry.mesh import Mesh, triangle_normals
+from omad.geometry.mesh import Mesh, closed, sample_triangles, triangle_normals
 from omad.geometry.rigid import box
 
 from .category import Category
@@ -102,10 +102,7 @@ class ObjectModel:
     @property
     def closed(self) -> bool:
         """Whether every part is a union of closed, outward-oriented surfaces."""
-        import trimesh  # slow to import, and an answer does without
-
-        meshes = (trimesh.Trimesh(part.vertices, part.faces, process=False) for part in self.parts)
-        return all(mesh.is_watertight and mesh.volume > 0 for mesh in meshes)
+        return all(map(closed, self.parts))
 
     def centred(self) -> Self:
         """The same object with its rest box centred on the origin."""
@@ -114,18 +111,21 @@ class ObjectModel:
         pivots = np.where(np.array(self.tree.turning)[:, None], self.pivots - centre, 0.0)
         return replace(self, parts=parts, pivots=pivots)
 
+    def stretched(self, factors: np.ndarray) -> Self:
+        """The same object with other proportions: its rest state scaled by ``factors`` (3,) along the canonical axes,
+        and its slides' limits by how much longer their axes become."""
+        axes = self.axes * factors
+        longer = np.linalg.norm(axes, axis=1, keepdims=True)
+        limits = np.where(np.array(self.tree.turning)[:, None], self.limits, self.limits * longer)
+        parts = tuple(part.warped(lambda vertices: vertices * factors) for part in self.parts)
+        return replace(self, parts=parts, axes=axes / longer, pivots=self.pivots * factors, limits=limits)
+
     def surface_samples(self, count: int, rng: np.random.Generator) -> SurfaceSamples:
         """``count`` points by area over all parts together."""
         triangles = np.concatenate([part.triangles for part in self.parts])
-        normals = triangle_normals(triangles)
-        area = np.linalg.norm(normals, axis=1)
-        chosen = rng.choice(len(triangles), count, p=area / area.sum())
-        u, v = rng.random((2, count, 1))
-        flip = u + v > 1
-        u, v = np.where(flip, 1 - u, u), np.where(flip, 1 - v, v)
-        a, b, c = triangles[chosen].swapaxes(0, 1)
-        points = a + u * (b - a) + v * (c - a)
-        unit = normals[chosen] / area[chosen, None]
+        points, chosen = sample_triangles(triangles, count, rng)
+        normals = triangle_normals(triangles[chosen])
+        unit = normals / np.linalg.norm(normals, axis=1, keepdims=True)
         labels = self.face_parts()[chosen].astype(np.int64)
         return SurfaceSamples(points.astype(np.float32), unit.astype(np.float32), labels)
 

@@ -1,6 +1,7 @@
 """URDF of object models. The root link is canonical space and zero of every joint is the rest state."""
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
@@ -8,31 +9,39 @@ import numpy as np
 
 from omad.common.files import write_text
 from omad.geometry.joint_kinds import Motion, elementary, type_of
+from omad.geometry.mesh import Mesh
 
 from .model import ObjectModel
 
 COUPLED = "_slide"
 """What the second of two joints that stand for one, and the empty link between them, are called besides its name."""
 
+MESHES = "meshes"
 
-def write_urdf(model: ObjectModel, path: Path | str) -> Path:
+
+def write_urdf(model: ObjectModel, path: Path | str, collisions: Sequence[Sequence[Mesh]] | None = None) -> Path:
     """Write ``model`` to ``path`` (a ``.urdf`` file, or a folder: ``<folder>/model.urdf``) -> the file. Meshes go to
-    ``meshes/`` beside the file, as OBJ. Each file is written whole or not at all, the URDF last."""
+    ``meshes/`` beside the file, as OBJ. Each file is written whole or not at all, the URDF last. ``collisions`` are the
+    bodies of each part that simulators take; without, they take its mesh."""
     path = Path(path)
     file = path if path.suffix == ".urdf" else path / "model.urdf"
     robot = Element("robot", name=model.name)
     # a joint that only slides has no place of its own: its frame stays at the canonical origin
     places = np.concatenate([np.zeros((1, 3)), model.pivots])
+    files = mesh_files(model, file)
     for part, (name, mesh) in enumerate(zip(model.part_names, model.parts, strict=True)):
-        mesh_file = Path("meshes") / (re.sub(r"[^\w-]", "_", f"{file.stem}-{part}-{name}") + ".obj")
-        lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in mesh.vertices.tolist()]
-        lines += [f"f {a} {b} {c}" for a, b, c in (mesh.faces + 1).tolist()]
-        write_text(file.parent / mesh_file, "\n".join([*lines, ""]))
+        shapes = [("visual", files[part], mesh)]
+        if collisions is None:
+            shapes.append(("collision", files[part], mesh))
+        else:
+            bodies = enumerate(collisions[part])
+            shapes += [("collision", files[part].with_stem(f"{files[part].stem}-body-{n}"), body) for n, body in bodies]
         link = SubElement(robot, "link", name=name)
-        for role in ("visual", "collision"):
+        for role, mesh_file, shape in shapes:
+            _write_obj(shape, mesh_file)
             element = SubElement(link, role)
             SubElement(element, "origin", xyz=urdf_numbers(-places[part]), rpy="0 0 0")
-            SubElement(SubElement(element, "geometry"), "mesh", filename=mesh_file.as_posix())
+            SubElement(SubElement(element, "geometry"), "mesh", filename=f"{MESHES}/{mesh_file.name}")
     for index, (name, parent) in enumerate(zip(model.joint_names, model.tree.parents, strict=True)):
         ends = [model.part_names[parent], model.part_names[index + 1]]
         offset, limits, motion = places[index + 1] - places[parent], model.limits[index], model.tree.motions[index]
@@ -47,6 +56,18 @@ def write_urdf(model: ObjectModel, path: Path | str) -> Path:
             SubElement(joint, "mimic", joint=name, multiplier=repr(motion.slide), offset="0")
     write_text(file, xml_text(robot))
     return file
+
+
+def _write_obj(mesh: Mesh, path: Path) -> None:
+    lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in mesh.vertices.tolist()]
+    lines += [f"f {a} {b} {c}" for a, b, c in (mesh.faces + 1).tolist()]
+    write_text(path, "\n".join([*lines, ""]))
+
+
+def mesh_files(model: ObjectModel, file: Path) -> list[Path]:
+    """Per part where ``write_urdf`` puts its mesh, beside the URDF ``file``."""
+    stems = (f"{file.stem}-{part}-{name}" for part, name in enumerate(model.part_names))
+    return [file.parent / MESHES / (re.sub(r"[^\w-]", "_", stem) + ".obj") for stem in stems]
 
 
 def _add_joint(

@@ -74,6 +74,8 @@ def page_data(
         "title": title or category.name,
         "category": category.name,
         "converged": estimate.converged,
+        "probability": _rounded(estimate.probability, 4),
+        "doubtful": estimate.doubtful,
         "residual": _rounded(estimate.residual, 6),
         "warnings": list(estimate.warnings),
         "seconds": {name: _rounded(value, 4) for name, value in estimate.seconds.items()},

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 
 from omad.common.files import write_atomic
 from omad.data.rendering.rasteriser import NOTHING, Rendering, render
@@ -17,6 +18,8 @@ from omad.objects.pose import ObjectPose
 from omad.sensing.observation import Observation
 
 PART_COLOURS = np.array([[0.35, 0.6, 0.95], [1.0, 0.6, 0.25], [0.45, 0.8, 0.4], [0.85, 0.4, 0.75], [0.6, 0.6, 0.6]])
+MAX_SIDE = 2000
+"""Pixels of an image that is drawn."""
 MAX_DRAWN = 6000
 """Points of a cloud that are drawn at most."""
 
@@ -34,6 +37,7 @@ def part_colours(parts: np.ndarray | int) -> np.ndarray:
 def figure(observation: Observation, estimate: Estimate, truth: ObjectPose | None = None, title: str = "") -> Figure:
     """Six panels: depth, what was seen (parts, keypoints, axes), the cloud from the side, and the estimated object
     as it is and at both ends of its joints' travel. With ``truth`` the true axes are dotted."""
+    observation = _for_picture(observation)
     camera = observation.camera or camera_around(observation.points)
     left, right, top, bottom = window(camera, observation.points)
     fig, grid = blank_panels(2, 3, (15, 9.4))
@@ -66,7 +70,9 @@ def figure(observation: Observation, estimate: Estimate, truth: ObjectPose | Non
         _draw_axes(panel, camera, estimate)
     for panel in np.delete(panels, 2):
         panel.set(xlim=(left, right), ylim=(bottom, top), aspect="equal")
-    fig.suptitle("\n".join(filter(None, [title, ", ".join(describe(joint) for joint in estimate.joints)])))
+    states = ", ".join(describe(joint) for joint in estimate.joints)
+    fig.suptitle("\n".join(filter(None, [title, states, how_sure(estimate)])))
+    plain_texts(fig)
     fig.tight_layout()
     return fig
 
@@ -90,13 +96,40 @@ def show(observation: Observation, estimate: Estimate, path: str | Path | None =
 
 def save(fig: Figure, path: str | Path) -> None:
     """Write a PNG."""
+    plain_texts(fig)
     write_atomic(path, lambda temporary: fig.savefig(temporary, dpi=80))
+
+
+def plain_texts(fig: Figure) -> None:
+    """Names of files and objects are no formulas: texts are drawn as they stand."""
+    for text in fig.findobj(Text):
+        assert isinstance(text, Text)
+        text.set_parse_math(False)
+        text.set_text(text.get_text().encode("utf-8", "replace").decode())
+
+
+def _for_picture(observation: Observation) -> Observation:
+    """Of a large image only so many rows and columns as a picture shows."""
+    camera, depth = observation.camera, observation.depth
+    every = 1 if camera is None else -(-max(camera.width, camera.height) // MAX_SIDE)
+    if camera is None or every == 1:
+        return observation
+    depth = None if depth is None else depth[::every, ::every]
+    size = -(-camera.width // every), -(-camera.height // every)
+    return replace(observation, depth=depth, camera=camera.zoomed(1 / every, size=size))
 
 
 def describe(joint: JointEstimate) -> str:
     """A joint's state as a person reads it."""
     per_unit, unit = reading(joint.pivot is not None)
     return f"{joint.name} {joint.state / per_unit:.1f}{unit} ± {joint.state_std / per_unit:.1f}{unit}"
+
+
+def how_sure(estimate: Estimate) -> str:
+    """The probability of an answer as a person reads it; nothing where it is not known."""
+    if estimate.probability is None:
+        return ""
+    return f"right with probability {estimate.probability:.0%}{', doubtful' if estimate.doubtful else ''}"
 
 
 def draw_points(panel: Axes, camera: Camera, points: np.ndarray, colours: np.ndarray, size: float = 1.5) -> None:

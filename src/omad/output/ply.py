@@ -18,8 +18,10 @@ MARGIN = 0.1
 
 
 def part_surfaces(estimate: Estimate, observation: Observation | None = None) -> list[Mesh]:
-    """A mesh for each part, canonical rest coordinates, metres: the hull of its keypoints, and of the points that were
-    seen of it where ``observation`` is given."""
+    """A mesh for each part, canonical rest coordinates, metres. Where the weights have no surfaces it is the hull of
+    the part's keypoints, and of the points that were seen of it where ``observation`` is given."""
+    if estimate.surfaces is not None:
+        return list(estimate.surface.parts)
     part_of = np.array(estimate.category.part_of_keypoint)
     meshes = []
     for part, T_camera_part in enumerate(estimate.T_camera_part):
@@ -43,7 +45,8 @@ def save_ply(estimate: Estimate, folder: str | Path, observation: Observation | 
     """Write ``object.ply`` (all parts, coloured) and ``part-<name>.ply`` each: camera frame, metres, estimated state,
     so that they lie on the observed cloud. Returns the files."""
     folder, parts = Path(folder), {}
-    of_parts = part_surfaces(estimate, observation), estimate.T_camera_part, byte_colours(estimate)
+    fitted = estimate.surface.placed.T_camera_part
+    of_parts = part_surfaces(estimate, observation), fitted, byte_colours(estimate)
     for spec, mesh, T, colour in zip(estimate.category.parts, *of_parts, strict=True):
         placed, rgba = mesh.carried(T), np.append(colour, 255).astype(np.uint8)
         shape = {"vertex_colors": np.tile(rgba, (len(mesh.vertices), 1)), "process": False}

@@ -10,17 +10,19 @@ from scipy.spatial.transform import Rotation
 
 from omad.common.files import write_json, write_text
 from omad.estimation.estimate import Estimate
+from omad.geometry.mesh import merge_meshes
 from omad.geometry.rigid import carry_each
 from omad.objects.urdf import urdf_numbers, write_urdf, xml_text
 from omad.sensing.observation import Observation
 
+from .collision import collision_bodies
 from .ply import part_surfaces
 
 CAMERA = "camera_optical_frame"
 EMPTY = 0.02
 """Metres: sides of the box whose mass a link without a body has."""
 DENSITY = 300.0
-"""kg per cubic metre of a part's hull; a guess, a depth image shows no mass."""
+"""kg per cubic metre of a part's bodies; a guess, a depth image shows no mass."""
 
 
 def link_frames(estimate: Estimate) -> np.ndarray:
@@ -37,12 +39,15 @@ def save_robot(estimate: Estimate, path: str | Path, observation: Observation | 
     to it: set the joints from the JSON file to see the estimate."""
     path = Path(path)
     model = replace(estimate.object_model(path.stem), parts=tuple(part_surfaces(estimate, observation)))
-    write_urdf(model, path)
+    bodies = [[body.mesh for body in of_part] for of_part in collision_bodies(model)]
+    write_urdf(model, path, bodies)
     robot = parse(path).getroot()
     places = np.concatenate([np.zeros((1, 3)), model.pivots])
+    merged = [merge_meshes(of_part) for of_part in bodies]
     solids = {
         name: trimesh.Trimesh(mesh.vertices - place, mesh.faces, process=False)
-        for name, mesh, place in zip(model.part_names, model.parts, places, strict=True)
+        for name, mesh, place in zip(model.part_names, merged, places, strict=True)
+        if len(mesh.faces)
     }
     empty = trimesh.creation.box(extents=[EMPTY] * 3)  # a link between two joints for one: simulators need some mass
     for link in robot.findall("link"):

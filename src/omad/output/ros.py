@@ -11,9 +11,9 @@ from .robot_urdf import CAMERA, link_frames
 
 
 def ros_messages(estimate: Estimate, stamp_ns: int = 0, camera_frame: str = CAMERA) -> dict[str, Any]:
-    """``{"joint_state": JointState, "tf": TFMessage}`` of plain Python values. ``stamp_ns``: nanoseconds, when the
-    image was taken. ``camera_frame`` is the parent of the base link; each other link hangs on its parent link, as in
-    the URDF. Metres, radians; quaternions x, y, z, w."""
+    """``{"joint_state": JointState, "tf": TFMessage, "probability": that it is right, or None}`` of plain Python
+    values. ``stamp_ns``: nanoseconds, when the image was taken. ``camera_frame`` is the parent of the base link; each
+    other link hangs on its parent link, as in the URDF. Metres, radians; quaternions x, y, z, w."""
     stamp = {"sec": stamp_ns // 10**9, "nanosec": stamp_ns % 10**9}
     names = [part.name for part in estimate.category.parts]
     frames = link_frames(estimate)
@@ -24,7 +24,7 @@ def ros_messages(estimate: Estimate, stamp_ns: int = 0, camera_frame: str = CAME
     states = {joint.name: float(joint.state) for joint in estimate.joints}
     told = {"name": list(states), "position": list(states.values()), "velocity": [], "effort": []}
     joint_state = {"header": {"stamp": stamp, "frame_id": camera_frame}} | told
-    return {"joint_state": joint_state, "tf": {"transforms": transforms}}
+    return {"joint_state": joint_state, "tf": {"transforms": transforms}, "probability": estimate.probability}
 
 
 def _transform(stamp: dict[str, int], parent: str, child: str, T: np.ndarray) -> dict[str, Any]:

@@ -1,6 +1,5 @@
 """Cameras as people have them: intrinsics, lens distortion and the place of one camera before another, from files."""
 
-import json
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,13 +8,20 @@ from typing import Any
 import numpy as np
 import yaml
 
-from omad.common.errors import InputError
-from omad.common.files import one_line
+from omad.common.errors import InputError, shown
+from omad.common.incoming import existing, is_file, parse_json, read_text
+from omad.common.limits import check_limit, limits
 from omad.geometry.camera import Camera
 from omad.geometry.lens import Distortion
 
 from .depth_files import read_array
 
+WRONG = (TypeError, ValueError, KeyError, IndexError, OverflowError, AttributeError, RecursionError)
+"""What values of the wrong kind, or none, raise."""
+LARGEST = 1e7
+"""Pixels of a focal length or a principal point."""
+FARTHEST = 1e3
+"""Metres between cameras."""
 REALSENSE = ("none", "modified_brown_conrady", "inverse_brown_conrady", "ftheta", "brown_conrady", "kannala_brandt4")
 """librealsense's models by number."""
 
@@ -39,10 +45,10 @@ def read_camera(source: str | Path) -> CameraFile:
     holding 3x3 or 4 numbers. Raises InputError for others."""
     text = str(source)
     if (numbers := _numbers(text)) is not None:
-        return CameraFile(_as_K(numbers, f"intrinsics {text!r}"))
+        return CameraFile(_as_K(numbers, f"intrinsics {shown(repr(text))}"))
+    if not is_file(source):
+        raise InputError(f"intrinsics {shown(repr(text))}: neither fx,fy,cx,cy nor an existing file")
     path = Path(source)
-    if not path.is_file():
-        raise InputError(f"intrinsics {text!r}: neither fx,fy,cx,cy nor an existing file")
     data = _read(path, "K")
     if isinstance(data, np.ndarray):
         return CameraFile(_as_K(data, str(path)))
@@ -51,9 +57,9 @@ def read_camera(source: str | Path) -> CameraFile:
         return CameraFile(K, _find_distortion(data), _find_size(data))
     except InputError as error:
         raise InputError(f"{path}: {error}; undistort the images and give fx,fy,cx,cy, or --distortion") from error
-    except (TypeError, ValueError, KeyError, IndexError) as error:
-        cure = "give distortion_model and D, or model and coeffs"
-        raise InputError(f"{path}: its lens distortion is not readable ({one_line(error)}); {cure}") from error
+    except WRONG as error:
+        cure = "give width, height, distortion_model and D, or model and coeffs"
+        raise InputError(f"{path}: its lens or its image size is not readable; {cure}") from error
 
 
 def read_intrinsics(source: str | Path) -> np.ndarray:
@@ -77,9 +83,7 @@ def read_transform(source: str | Path, name: str) -> np.ndarray:
     """(4, 4) rigid transform ``name`` from a file: 16 or 12 numbers row by row (text, NPY), or JSON or YAML with
     ``name``, or with librealsense's ``rotation`` (9, column by column) and ``translation`` (metres). Raises InputError
     for anything else, and where the rotation is none."""
-    path = Path(source)
-    if not path.is_file():
-        raise InputError(f"{name} {str(source)!r}: no such file; give one with a 4x4 matrix")
+    path = existing(source, f"a file with {name}, a 4x4 matrix")
     data = _read(path, name)
     try:
         if isinstance(data, np.ndarray):
@@ -96,9 +100,11 @@ def read_transform(source: str | Path, name: str) -> np.ndarray:
             raise ValueError("no 4x4 matrix that ends in 0 0 0 1")
         if not np.allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-3) or np.linalg.det(T[:3, :3]) < 0:
             raise ValueError("its 3x3 part is no rotation")
-    except (TypeError, ValueError, KeyError) as error:
+        if np.abs(T).max() > FARTHEST:
+            raise ValueError("its places are too far away")
+    except WRONG as error:
         cure = f"give 4x4 numbers, JSON with {name}, or rotation and translation as librealsense writes them"
-        raise InputError(f"{path}: holds no {name} ({one_line(error)}); {cure}") from error
+        raise InputError(f"{path}: holds no {name}; {cure}") from error
     return T
 
 
@@ -106,17 +112,28 @@ def _read(path: Path, key: str) -> Any:
     """An array of numbers, or what JSON or YAML holds."""
     if path.suffix.lower() in (".npy", ".npz"):
         return read_array(path, key)
-    try:
-        content = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: not readable as text ({one_line(error)}); export it again") from error
+    check_limit("camera_bytes", path.stat().st_size, f"{path}: the file")
+    content = read_text(path)
     if (numbers := _numbers(content)) is not None:
         return numbers
+    if content.lstrip().startswith("{"):  # YAML reads JSON too, but not the tabs that JSON allows
+        return parse_json(content, path)
     try:
-        # YAML reads JSON too, but not the tabs that JSON allows; `rostopic echo` ends each message with a ---
-        return json.loads(content) if content.lstrip().startswith("{") else next(yaml.safe_load_all(content), None)
-    except (ValueError, yaml.YAMLError) as error:
-        raise InputError(f"{path}: neither JSON, YAML nor numbers ({one_line(error)})") from error
+        # `rostopic echo` ends each message with a ---
+        return next(yaml.load_all(content, _PlainYaml), None)
+    except Exception as error:  # its readers of dates and numbers raise anything; what they read is not quoted
+        mark = getattr(error, "problem_mark", None)
+        where = "" if mark is None else f" (line {mark.line + 1})"
+        raise InputError(f"{path}: neither JSON, YAML nor numbers{where}; export it again") from error
+
+
+class _PlainYaml(yaml.SafeLoader):
+    """YAML without references, by which a few lines grow to gigabytes."""
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        if self.check_event(yaml.AliasEvent):
+            raise yaml.YAMLError("references are not supported")
+        return super().compose_node(parent, index)
 
 
 def _find_intrinsics(data: Any, path: Path) -> np.ndarray:
@@ -129,7 +146,7 @@ def _find_intrinsics(data: Any, path: Path) -> np.ndarray:
                 return np.asarray(_listed(data[key]), dtype=np.float64)
         centre = ("ppx", "ppy") if "ppx" in data else ("cx", "cy")
         return np.array([data[key] for key in ("fx", "fy", *centre)], dtype=np.float64)
-    except (TypeError, ValueError, KeyError) as error:
+    except WRONG as error:
         known = "intrinsic_matrix (Open3D), fx, fy, ppx, ppy (librealsense) or K (ROS CameraInfo)"
         raise InputError(f"{path}: holds no intrinsics; expected {known}") from error
 
@@ -156,7 +173,10 @@ def _model_name(told: Any) -> str | None:
 def _find_size(data: dict[str, Any]) -> tuple[int, int] | None:
     for width, height in (("width", "height"), ("image_width", "image_height")):
         if data.get(width) and data.get(height):  # a simulator may leave zeros
-            return int(data[width]), int(data[height])
+            sides = int(data[width]), int(data[height])
+            if not all(1 <= side <= limits().image_side for side in sides):
+                raise ValueError("no size of an image")
+            return sides
     return None
 
 
@@ -171,9 +191,14 @@ def _as_K(numbers: np.ndarray, name: str) -> np.ndarray:
         raise InputError(f"{name}: expected fx,fy,cx,cy or a 3x3 matrix, got {numbers.size} numbers")
     numbers = numbers.astype(np.float64).ravel()
     K = numbers.reshape(3, 3) if numbers.size == 9 else Camera(0, 0, *numbers).K
-    if not np.isfinite(K).all() or K[0, 0] <= 0 or K[1, 1] <= 0 or not np.allclose(K[2], [0, 0, 1]):
+    if not (np.abs(K) <= LARGEST).all() or K[0, 0] <= 0 or K[1, 1] <= 0 or not np.allclose(K[2], [0, 0, 1]):
         raise InputError(f"{name}: no pinhole matrix; expected [fx 0 cx; 0 fy cy; 0 0 1] in pixels, row by row")
     return K
+
+
+def is_numbers(text: str) -> bool:
+    """Whether ``text`` gives intrinsics itself, and does not name a file."""
+    return _numbers(text) is not None
 
 
 def _numbers(text: str) -> np.ndarray | None:

@@ -1,15 +1,13 @@
 """Reading depth images, clouds and masks as people have them."""
 
-import json
-from collections.abc import Iterator
-from contextlib import contextmanager
+import io
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
 
 from omad.common.errors import InputError
-from omad.common.files import one_line
+from omad.common.incoming import existing, read_arrays, read_bytes, read_image, read_json, readable
+from omad.common.limits import check_limit
 
 from .masks import as_mask
 
@@ -29,8 +27,9 @@ def read_depth(path: str | Path, depth_scale: float | None = None) -> np.ndarray
     path = _existing(path, DEPTH_FORMATS, "depth image")
     if depth_scale is not None and not (np.isfinite(depth_scale) and depth_scale > 0):
         raise InputError(f"depth scale {depth_scale}: give metres per stored integer, 0.001 for millimetres")
-    stored = read_array(path, "depth") if path.suffix.lower() in ARRAY_FORMATS else read_image(path)
+    stored = read_array(path, "depth") if path.suffix.lower() in ARRAY_FORMATS else read_image(path, path)
     try:
+        check_limit("image_pixels", stored.size, "the image")
         return in_metres(stored, depth_scale)
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
@@ -45,7 +44,10 @@ def in_metres(stored: np.ndarray, depth_scale: float | None = None) -> np.ndarra
     if stored.dtype.kind not in "iuf":
         raise InputError(f"dtype {stored.dtype} is no depth; store integers or floats")
     usual = 1.0 if stored.dtype.kind == "f" else MILLIMETRES
-    return (stored * np.float64(usual if depth_scale is None else depth_scale)).astype(np.float32)
+    metres = np.empty(stored.shape, dtype=np.float32)
+    scale = np.float64(usual if depth_scale is None else depth_scale)
+    np.multiply(stored, scale, out=metres, dtype=np.float64, casting="same_kind")  # in blocks, unlike astype
+    return metres
 
 
 def read_mask(path: str | Path, mask_id: int | None = None) -> np.ndarray:
@@ -53,18 +55,20 @@ def read_mask(path: str | Path, mask_id: int | None = None) -> np.ndarray:
     with a palette, ``mask_id`` is the number of a colour. Raises InputError."""
     path = _existing(path, MASK_FORMATS, "mask")
     if path.suffix.lower() == ".json":
-        with _readable(path, "JSON"):
-            stored = json.loads(path.read_text(encoding="utf-8"))
-            if not isinstance(stored, dict):
-                raise InputError(f"{path}: holds no mask; give one COCO segmentation, with size and counts")
+        stored = read_json(path, "export it again")
+        if not isinstance(stored, dict):
+            raise InputError(f"{path}: holds no mask; give one COCO segmentation, with size and counts")
     elif path.suffix.lower() in ARRAY_FORMATS:
         stored = read_array(path, "mask")
     else:
-        stored = read_image(path, "RGBA" if mask_id is None else None)
+        stored = read_image(path, path, "RGBA" if mask_id is None else None)
     try:
-        return as_mask(stored, mask_id)
+        with readable(path, "a mask"):
+            if isinstance(stored, np.ndarray):
+                check_limit("image_pixels", stored.size, "the mask")
+            return as_mask(stored, mask_id)
     except InputError as error:
-        raise InputError(f"{path}: {error}") from error
+        raise InputError(str(error) if str(path) in str(error) else f"{path}: {error}") from error
 
 
 def is_cloud(path: str | Path) -> bool:
@@ -91,59 +95,37 @@ def read_cloud(path: str | Path) -> np.ndarray:
     InputError for a missing, unreadable or foreign file."""
     path = _existing(path, CLOUD_FORMATS, "point cloud")
     readers = {".ply": _read_ply, ".pcd": _read_pcd, ".xyz": _read_text, ".txt": _read_text}
-    with _readable(path, path.suffix[1:].upper()):
+    with readable(path, path.suffix[1:].upper()):
         points = readers.get(path.suffix.lower(), lambda array: read_array(array, "points"))(path)
     if points.ndim == 3 and points.shape[-1] >= 3:  # an organised cloud (H, W, 3)
         points = points.reshape(-1, points.shape[-1])
     if points.ndim != 2 or points.shape[1] < 3 or points.dtype.kind not in "iuf":
         raise InputError(f"{path}: a cloud needs shape (N, 3), got {points.dtype} of shape {points.shape}")
+    check_limit("cloud_points", len(points), f"{path}: the cloud")
     return points[:, :3].astype(np.float64)
 
 
 def _existing(path: str | Path, formats: tuple[str, ...], kind: str) -> Path:
-    path = Path(path)
-    if not path.is_file():
-        raise InputError(f"{path}: no such file; give the path of a {kind}")
+    path = existing(path, f"the path of a {kind}")
     if path.suffix.lower() not in formats:
         raise InputError(f"{path}: unknown {kind} format {path.suffix!r}; known ones are {', '.join(formats)}")
     return path
 
 
-def read_image(path: Path, mode: str | None = None) -> np.ndarray:
-    """An image file as it is stored, (H, W) or (H, W, channels); with ``mode``, palettes and alpha become that mode.
-    Raises InputError for a file that is not readable as an image."""
-    with _readable(path, "an image"), Image.open(path) as image:
-        return np.asarray(image.convert(mode) if mode and image.mode in ("P", "RGBA", "LA") else image)
-
-
 def read_array(path: Path, key: str) -> np.ndarray:
     """The array of an NPY, or of an NPZ the one called ``key`` or the only one."""
-    with _readable(path, path.suffix[1:].upper()):
-        loaded = np.load(path, allow_pickle=False)
-        if isinstance(loaded, np.ndarray):
-            return loaded
-        with loaded:
-            names = loaded.files
-            if key not in names and len(names) != 1:
-                raise InputError(f"{path}: holds {', '.join(names) or 'nothing'}; name the array {key!r}")
-            return loaded[key if key in names else names[0]]
-
-
-@contextmanager
-def _readable(path: Path, kind: str) -> Iterator[None]:
-    """InputError in place of whatever readers raise for a damaged or foreign file, EOFError to zlib.error."""
-    try:
-        yield
-    except InputError:
-        raise
-    except Exception as error:
-        raise InputError(f"{path}: not readable as {kind} ({one_line(error)}); export it again") from error
+    found = read_arrays(path, path.suffix[1:].upper())
+    if isinstance(found, np.ndarray):
+        return found
+    if key not in found and len(found) != 1:
+        raise InputError(f"{path}: holds {', '.join(found) or 'nothing'}; name the array {key!r}")
+    return found.get(key, next(iter(found.values())))
 
 
 def _read_ply(path: Path) -> np.ndarray:
     import trimesh  # slow to import
 
-    vertices = getattr(trimesh.load(path, process=False), "vertices", None)
+    vertices = getattr(trimesh.load(io.BytesIO(read_bytes(path)), file_type="ply", process=False), "vertices", None)
     if vertices is None:
         raise InputError(f"{path}: holds no vertices; export a point cloud")
     return np.asarray(vertices)
@@ -151,15 +133,22 @@ def _read_ply(path: Path) -> np.ndarray:
 
 def _read_text(path: Path) -> np.ndarray:
     """One point a line, separated by space or commas; '#' starts a comment."""
-    lines = [line.replace(",", " ") for line in path.read_text(encoding="utf-8").splitlines()]
+    lines = [line.replace(",", " ") for line in read_bytes(path, "cloud_text_bytes").decode("utf-8").splitlines()]
     if not any(line.split("#")[0].strip() for line in lines):  # loadtxt would warn on stderr and go on
         raise InputError(f"{path}: holds no points; give lines of x y z")
-    return np.loadtxt(lines, ndmin=2)
+    return _table(path, lines)
+
+
+def _table(path: Path, lines: list[str]) -> np.ndarray:
+    try:
+        return np.loadtxt(lines, ndmin=2)
+    except ValueError as error:  # its message quotes the line
+        raise InputError(f"{path}: a line is no row of numbers, or not as long as others; export it again") from error
 
 
 def _read_pcd(path: Path) -> np.ndarray:
     """x, y, z of a PCD file, ascii, binary or binary_compressed."""
-    data = path.read_bytes()
+    data = read_bytes(path)
     header: dict[str, list[str]] = {}
     start = 0
     while "DATA" not in header:
@@ -171,9 +160,10 @@ def _read_pcd(path: Path) -> np.ndarray:
     names, encoding = header["FIELDS"], header["DATA"][0].lower()
     counts = [int(c) for c in header.get("COUNT", ["1"] * len(names))]
     points = int(header["WIDTH"][0]) * int(header["HEIGHT"][0])
+    check_limit("cloud_points", points, f"{path}: the cloud")
     place = [names.index(axis) for axis in "xyz"]
     if encoding == "ascii":
-        table = np.loadtxt(data[start:].decode("ascii").splitlines(), ndmin=2)
+        table = _table(path, data[start:].decode("ascii").splitlines())
         return table[:points, np.cumsum([0] + counts)[place]]
     if encoding == "binary":
         # padding fields share the name '_', so fields are told apart by index

@@ -10,6 +10,7 @@ import numpy as np
 
 from omad.common.arrays import as_numpy
 from omad.common.errors import InputError
+from omad.common.limits import check_limit
 
 INSIDE = 0.5
 """A pixel with at least this probability is the object's."""
@@ -96,6 +97,7 @@ def _decoded(coco: Mapping[str, Any]) -> np.ndarray:
     if len(size) != 2 or not all(isinstance(side, int) and side > 0 for side in size):
         raise InputError('mask: a COCO segmentation needs "size": [height, width], beside "counts" or "polygons"')
     height, width = size
+    check_limit("image_pixels", height * width, "the mask")
     if "polygons" in found:
         return _filled(found["polygons"], height, width)
     if "counts" not in found:

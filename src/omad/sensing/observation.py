@@ -1,5 +1,6 @@
 """What the estimator sees: the points of one object in the camera frame, from a depth image or a cloud."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, Self
@@ -16,6 +17,10 @@ from .masks import as_mask
 MIN_POINTS = 50
 FAR = 100.0
 """Metres. A scene whose median distance is beyond this was stored in millimetres."""
+FARTHEST = 1e4
+"""Metres. Nothing is measured farther away: such numbers mean no measurement."""
+MOST_POINTS = 1_500_000
+"""Of an observation: a network looks at hundreds, and what many millions of pixels say of an object, these do."""
 NEIGHBOURS = 8
 """Of a point, to tell whether it flies alone."""
 
@@ -57,11 +62,13 @@ class Observation:
         NumPy arrays and torch tensors of any device are taken alike.
 
         Which pixels are the object's: ``mask``, whatever ``as_mask`` takes, of a label image those with ``mask_id``;
+        thin parts that a mask lost, as it is too narrow, are given back to it (``thin_parts``);
         ``box`` (x1, y1, x2, y2) pixels, half-open;
         ``segment="plane"`` takes away table, floor and walls and keeps the largest thing left. They combine; with none
         of them every measured pixel counts. ``drop_flying`` removes stray points between fore- and background, and
         small patches that hang apart from the object.
 
+        Where more than ``MOST_POINTS`` pixels count, points are made of every second row and column, or third ...
         ``K``: (3, 3) matrix, (fx, fy, cx, cy) in pixels, or a ``Camera``; ``distortion``: the lens, where the image was
         not undistorted. Points then lie on the pixels' true rays, and ``depth``, ``mask`` and ``pixels`` are those of
         the undistorted image, into which points project with K alone. Raises InputError for input that cannot be right,
@@ -71,33 +78,77 @@ class Observation:
         camera = camera if distortion is None else replace(camera, distortion=distortion)
         measured = depth > 0
         mask = None if mask is None else as_mask(mask, mask_id)
+        if mask is not None and mask.any() and not mask.all():
+            from .thin_parts import with_thin_parts  # imports Numba, which takes long
+
+            mask = with_thin_parts(mask, depth)
         chosen = region_of(depth.shape, mask, box)
         chosen &= measured
         if (count := np.count_nonzero(chosen)) < MIN_POINTS:
             lie = f"depth: {count} of {np.count_nonzero(depth)} measured pixels lie inside mask and box"
             raise NothingSeen(f"{lie}, at least {MIN_POINTS} are needed; check mask, box and the camera's range")
         # a table is found in the whole frame even where the box leaves little of it
-        place = np.flatnonzero(chosen if segment is None else measured)
+        used = chosen if segment is None else measured
+        every = _every(used)
+        if every > 1:
+            thinned = np.zeros_like(used)
+            thinned[::every, ::every] = used[::every, ::every]
+            used, count = thinned, np.count_nonzero(chosen & thinned)
+        place = np.flatnonzero(used)
         pixels = np.empty((len(place), 2), dtype=int)
         np.divmod(place, camera.width, out=(pixels[:, 1], pixels[:, 0]))
         points = camera.backproject(pixels, depth.ravel()[place])
         if not np.isfinite(points).all():
             seen = np.isfinite(points).all(1)
             place, pixels, points = place[seen], pixels[seen], points[seen]
-        kept, warnings = _select(points, segment, drop_flying, chosen.ravel()[place])
-        if drop_flying:
-            from .patches import hanging  # imports SciPy, which takes long
-
-            kept = kept[~hanging(points[kept], pixels[kept], depth.shape)]
+        kept, warnings = _select(points, segment, chosen.ravel()[place])
         if len(kept) < count or segment is not None:
             place, pixels, points = place[kept], pixels[kept], points[kept]
             chosen = np.zeros(depth.shape, dtype=bool)
             chosen.ravel()[place] = True
+            if every > 1:
+                blocks = chosen[::every, ::every].repeat(every, 0).repeat(every, 1)
+                chosen = blocks[: depth.shape[0], : depth.shape[1]] & measured
         if camera.distortion is not None:
             depth, chosen, camera = camera.rectified(depth), camera.rectified(chosen), camera.pinhole
             pixels = np.rint(camera.project(points)).astype(int)
         warnings = _doubts(camera) + _odd_mask(mask) + warnings
-        return cls(points.astype(np.float32), depth, camera, pixels, chosen, warnings)
+        seen = cls(points.astype(np.float32), depth, camera, pixels, chosen, warnings)
+        return seen.without_strays() if drop_flying else seen
+
+    def part(self, index: np.ndarray) -> Self:
+        """Some of its points, by their indices or (N,) bool. Raises NothingSeen for fewer than 50."""
+        points = self.points[index]
+        if len(points) < MIN_POINTS:
+            need = f"{MIN_POINTS} are needed; give another mask or box"
+            raise NothingSeen(f"points: only {len(points)} of {len(self.points)} are left, {need}")
+        if self.depth is None or self.pixels is None:
+            return replace(self, points=points)
+        pixels = self.pixels[index]
+        mask = np.zeros(self.depth.shape, dtype=bool)
+        mask[pixels[:, 1], pixels[:, 0]] = True
+        return replace(self, points=points, pixels=pixels, mask=mask)
+
+    def inside(self, box: Sequence[float]) -> np.ndarray:
+        """(N,) bool: which points are within a ``box`` (x1, y1, x2, y2) in pixels, half-open. Raises InputError for
+        one that is wrong, and for one of a bare cloud."""
+        if self.depth is None or self.pixels is None:
+            raise InputError("box: needs a depth image; a bare cloud has no pixels")
+        return region_of(self.depth.shape, None, box)[tuple(self.pixels.T[::-1])]
+
+    def warned(self, *warnings: str) -> Self:
+        """The same with more to know before trusting the result."""
+        return replace(self, warnings=(*self.warnings, *warnings))
+
+    def without_strays(self) -> Self:
+        """Without points that fly alone, and in an image without small patches that hang apart from the object. Raises
+        NothingSeen where too few are left."""
+        from .patches import hanging  # imports SciPy, which takes long
+
+        steady = self.part(~_flying(self.points)) if len(self.points) > NEIGHBOURS else self
+        if steady.depth is None or steady.pixels is None:
+            return steady
+        return steady.part(~hanging(steady.points, steady.pixels, steady.depth.shape))
 
     @property
     def depth_range(self) -> tuple[float, float]:
@@ -107,20 +158,31 @@ class Observation:
 
     @classmethod
     def from_points(cls, points: Any, segment: Segmentation | None = None, drop_flying: bool = False) -> Self:
-        """A cloud (N, 3) in metres, camera frame; rows that are not finite or all zero mean no measurement. Raises
-        InputError for a wrong shape, millimetres, and for fewer than 50 points."""
+        """A cloud (N, 3) in metres, camera frame; rows that are not finite or all zero mean no measurement. Of more
+        than ``MOST_POINTS`` rows every second counts, or third ... Raises InputError for a wrong shape, millimetres,
+        and for fewer than 50 points."""
         cloud = _numbers(points, "points").astype(np.float64)
         if cloud.ndim != 2 or cloud.shape[1] != 3:
             raise InputError(f"points: expected shape (N, 3), got {cloud.shape}")
         cloud = cloud[np.isfinite(cloud).all(1) & cloud.any(1)]
         if len(cloud) < MIN_POINTS:
             raise NothingSeen(f"points: {len(cloud)} valid points, at least {MIN_POINTS} are needed")
-        _check_metres(np.linalg.norm(cloud, axis=1), "points")
-        kept, warnings = _select(cloud, segment, drop_flying)
+        _check_metres(np.abs(cloud).max(1), "points")
+        cloud = cloud[np.abs(cloud).max(1) < FARTHEST]
+        cloud = cloud[:: -(-len(cloud) // MOST_POINTS) or 1]
+        if len(cloud) < MIN_POINTS:
+            raise NothingSeen(f"points: {len(cloud)} within {FARTHEST:g} m, at least {MIN_POINTS} are needed")
+        kept, warnings = _select(cloud, segment)
         if (behind := float((cloud[kept, 2] <= 0).mean())) > 0:
             cure = "the cloud should be in the camera frame, z forward"
             warnings += (f"{behind:.0%} of the points lie behind the camera: {cure}",)
-        return cls(cloud[kept].astype(np.float32), warnings=warnings)
+        seen = cls(cloud[kept].astype(np.float32), warnings=warnings)
+        return seen.without_strays() if drop_flying else seen
+
+
+def _every(used: np.ndarray) -> int:
+    """So that of every so many rows and columns of the image ``used`` (H, W) not too many pixels are left."""
+    return max(1, math.ceil(math.sqrt(np.count_nonzero(used) / MOST_POINTS)))
 
 
 def _numbers(values: Any, name: str) -> np.ndarray:
@@ -147,6 +209,7 @@ def _check_depth(depth_m: Any) -> np.ndarray:
         raise NothingSeen("depth: no pixel holds a measurement (all are zero or NaN); check the camera and the file")
     if farthest > FAR:
         _check_metres(stored[depth > 0], "depth")
+        depth[depth > FARTHEST] = 0
     if stored.dtype.kind in "iu":
         raise InputError("depth: integers cannot be metres; multiply by the depth scale first (0.001 for millimetres)")
     return depth
@@ -170,7 +233,7 @@ def _check_camera(K: Any, shape: tuple[int, ...]) -> Camera:
     values = Camera(width, height, *values).K if values.shape == (4,) else values
     if values.shape != (3, 3):
         raise InputError(f"intrinsics: expected a 3x3 matrix or (fx, fy, cx, cy), got shape {values.shape}")
-    if not np.isfinite(values).all() or values[0, 0] <= 0 or values[1, 1] <= 0:
+    if not (np.abs(values) < 1e7).all() or values[0, 0] <= 0 or values[1, 1] <= 0:
         raise InputError(f"intrinsics: focal lengths {values[0, 0]}, {values[1, 1]} must be positive pixels")
     return Camera.from_K(values, width, height)
 
@@ -184,8 +247,11 @@ def region_of(shape: tuple[int, ...], mask: np.ndarray | None, box: Sequence[flo
             raise InputError(f"mask: shape {mask.shape} differs from the depth image's {shape}; resize it to that")
         region &= mask
     if box is not None:
-        corners = np.asarray(box, dtype=np.float64).ravel()
-        if corners.shape != (4,) or not np.isfinite(corners).all():
+        try:
+            corners = np.asarray(box, dtype=np.float64).ravel()
+        except (TypeError, ValueError):
+            corners = np.zeros(0)
+        if corners.shape != (4,) or not (np.abs(corners) < 1e9).all():
             raise InputError(f"box: expected x1, y1, x2, y2 in pixels, got {box}")
         x1, y1, x2, y2 = np.rint(corners).astype(int)
         if x1 >= x2 or y1 >= y2:
@@ -199,7 +265,7 @@ def region_of(shape: tuple[int, ...], mask: np.ndarray | None, box: Sequence[flo
 
 
 def _select(
-    points: np.ndarray, segment: str | None, drop_flying: bool, inside: np.ndarray | None = None
+    points: np.ndarray, segment: str | None, inside: np.ndarray | None = None
 ) -> tuple[np.ndarray, tuple[str, ...]]:
     """Indices of the object's points, and warnings; ``inside`` (N,) bool is where a segment may lie."""
     kept, warnings = np.arange(len(points)), ()
@@ -214,8 +280,6 @@ def _select(
             warnings += ("no table, floor or wall was found; the largest connected thing was taken",)
         if found.rival > RIVAL:
             warnings += ("another thing of similar size stands beside the one chosen; give a box or a mask",)
-    if drop_flying and len(kept) > NEIGHBOURS:
-        kept = kept[~_flying(points[kept])]
     if len(kept) < MIN_POINTS:
         need = f"{MIN_POINTS} are needed; give a mask or a box"
         raise NothingSeen(f"segment: only {len(kept)} of {len(points)} points are left, {need}")
@@ -244,7 +308,8 @@ def _odd_mask(mask: np.ndarray | None) -> tuple[str, ...]:
 
 def _doubts(camera: Camera) -> tuple[str, ...]:
     """Intrinsics of another image size are the commonest mistake that nothing else shows."""
-    if max(abs(camera.cx / (camera.width - 1) - 0.5), abs(camera.cy / (camera.height - 1) - 0.5)) <= 0.25:
+    sides = ((camera.cx, camera.width), (camera.cy, camera.height))
+    if max(abs(centre / max(side - 1, 1) - 0.5) for centre, side in sides) <= 0.25 or min(s for _, s in sides) == 1:
         return ()
     image = f"{camera.width}x{camera.height} image: are the intrinsics those of this image?"
     return (f"principal point ({camera.cx:.0f}, {camera.cy:.0f}) is far from the middle of the {image}",)

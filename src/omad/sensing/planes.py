@@ -1,5 +1,7 @@
 """Table, floor and walls: the large planes of a cloud that run behind whatever else there is."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from omad.common.compiled import jit
@@ -23,19 +25,34 @@ BORDER = 0.02
 """A wall has this share of its points this near to the frame's border: it runs out of the frame."""
 CELLS = 160
 """Across the frame; heights over a plane are averaged inside such a cell, against the noise of single pixels."""
+ALONE = 0.12
+"""What is no more than this share of all points in its cell and the cells around it is noise of the plane."""
 
 
-def take_planes_away(points: np.ndarray, distance: np.ndarray, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Which points lie before all planes (N,) bool, and the planes (P, 4), n and d of n . p = d with n towards the
-    camera. Points (3, N) and their ``distance`` (N,) from the camera are float32; ``place`` (2, N) is where they are in
-    the frame, -1 to 1. Deterministic."""
+@dataclass(frozen=True)
+class Before:
+    """What of a cloud of N points lies before its large planes."""
+
+    left: np.ndarray
+    """(N,) bool."""
+    planes: np.ndarray
+    """(P, 4) n and d of the planes n . p = d taken away, n towards the camera; empty where none was found."""
+    lowest: float
+    """Metres, at the middle distance: what rises less over a plane was taken away with it. 0 where there is none."""
+
+
+def take_planes_away(points: np.ndarray, distance: np.ndarray, place: np.ndarray) -> Before:
+    """Of points (3, N) and their ``distance`` (N,) from the camera, float32; ``place`` (2, N) is where they are in the
+    frame, -1 to 1. Deterministic."""
     rng = np.random.default_rng(0)
-    scale = distance**2 / np.median(some_of(distance))  # the errors of stereo grow with the square of the distance
+    middle = float(np.median(some_of(distance)))
+    scale = distance**2 / middle  # the errors of stereo grow with the square of the distance
     row, column = ((place + 1) * (CELLS / 2)).astype(np.int32)
     cell = row * (CELLS + 1) + column
     at_border = np.abs(place).max(0) > 1 - BORDER
     left = np.ones(len(distance), dtype=bool)
     planes: list[np.ndarray] = []
+    lowest = 0.0
     for _ in range(MAX_PLANES):
         plane = _find_plane(points, scale, left, planes, rng)
         if plane is None:
@@ -49,7 +66,10 @@ def take_planes_away(points: np.ndarray, distance: np.ndarray, place: np.ndarray
             break
         left &= height > thickness
         planes.append(plane)
-    return left, np.array(planes).reshape(-1, 4)
+        lowest = max(lowest, thickness * middle)
+    if planes:
+        left &= _in_company(left, cell)
+    return Before(left, np.array(planes).reshape(-1, 4), lowest)
 
 
 def some_of(values: np.ndarray) -> np.ndarray:
@@ -125,6 +145,16 @@ def _fit(points: np.ndarray, before: np.ndarray) -> np.ndarray:
     points = points - centre[:, None]
     normal = np.linalg.eigh(points @ points.T)[1][:, 0]
     return np.append(normal, normal @ centre) * (1 if normal @ before[:3] > 0 else -1)
+
+
+def _in_company(left: np.ndarray, cell: np.ndarray) -> np.ndarray:
+    """(N,) bool, whether around a point's image ``cell`` (N,) more than single ones of the points are ``left``."""
+    side = CELLS + 1
+    count = np.stack([np.bincount(cell, weight, side * side).reshape(side, side) for weight in (left, None)])
+    padded = np.pad(count, ((0, 0), (1, 1), (1, 1)))
+    rows = padded[:, :-2] + padded[:, 1:-1] + padded[:, 2:]
+    near, all_near = rows[..., :-2] + rows[..., 1:-1] + rows[..., 2:]
+    return (near > ALONE * all_near).ravel()[cell]
 
 
 @jit

@@ -1,7 +1,7 @@
 """Depth images and clouds given to a command, with the options that say how to read them."""
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -22,6 +22,8 @@ KNOWN = sorted({*DEPTH_FORMATS, *CLOUD_FORMATS} - {".txt"})
 """Extensions of inputs in a folder, where a text file is no cloud but a note."""
 NEED_INTRINSICS = "a depth image needs --intrinsics fx,fy,cx,cy or a file with them"
 NO_FRAME = FrameOptions()
+Find = Callable[[Observation, Sequence[float] | None], Observation]
+"""Of a whole frame the object, within a box where one is given."""
 
 
 @dataclass(frozen=True)
@@ -40,6 +42,8 @@ class InputReader:
     """The camera that mask and box are drawn in the image of, where that is not the depth image."""
     mask_id: int | None = None
     """The object's number in masks that are label images."""
+    find: Find | None = None
+    """Cuts the object out of whole frames where nothing else says which it is but a box."""
 
     @classmethod
     def of(cls, options: InputOptions, files: list[Path], frame: FrameOptions = NO_FRAME) -> Self:
@@ -91,7 +95,10 @@ class InputReader:
         whole = Camera.from_K(camera.K, width, height, camera.distortion)
         if self.colour is not None:
             mask, box = self.colour.depth_mask(depth, whole, mask, box), None
-        return Observation.from_depth(depth, whole, mask, box, self.segment, self.drop_flying)
+        if self.find is None or mask is not None or self.segment is not None:
+            return Observation.from_depth(depth, whole, mask, box, self.segment, self.drop_flying)
+        seen = self.find(Observation.from_depth(depth, whole), box)
+        return seen.without_strays() if self.drop_flying else seen
 
 
 def _mask_of(file: Path, folder: Path) -> Path:

@@ -28,30 +28,46 @@ def segment_on_plane(points: np.ndarray, inside: np.ndarray | None = None) -> Se
     ``inside`` (N,) bool says where the object is looked for; the planes are found in the whole cloud. A cluster's
     weight is its squared size, more in the middle of the frame (or of what is inside) than at its border.
     Deterministic: the same cloud gives the same answer."""
-    columns = np.ascontiguousarray(points.T, dtype=np.float32)
-    distance = np.sqrt(np.einsum("an,an->n", columns, columns))
-    rays = columns[:2] / np.maximum(columns[2], 1e-9)
-    place = _place(rays)
-    left, planes = take_planes_away(columns, distance, place)
+    columns, distance, place = _columns(points)
+    before = take_planes_away(columns, distance, place)
+    left = before.left
     if inside is not None and not inside.all():
         left &= inside
-        place = np.zeros_like(rays)
-        place[:, inside] = _place(rays[:, inside])
+        place = np.zeros_like(place)
+        place[:, inside] = _place(columns[:2, inside] / np.maximum(columns[2, inside], 1e-9))
     index = np.flatnonzero(left)
     central = (1 - np.abs(place.take(index, 1))).prod(0)
     chosen, rival = prominent_cluster(columns.take(index, 1), distance[index], central)
     left[index] = chosen
-    return Segment(left, planes, rival)
+    return Segment(left, before.planes, rival)
 
 
-def things_before_planes(points: np.ndarray, least: int, inside: np.ndarray | None = None) -> list[np.ndarray]:
-    """Indices of the points of each thing of at least ``least`` points before table, floor and walls, the largest
-    first, in a camera-frame cloud (N, 3); ``inside`` as above."""
+@dataclass(frozen=True)
+class Things:
+    """What stands before the supporting planes."""
+
+    clusters: list[np.ndarray]
+    """Indices of each thing's points, the largest thing first."""
+    planes: np.ndarray
+    """(P, 4) as of a ``Segment``."""
+    lowest: float
+    """Metres: what rises less over a plane, at the middle distance, is not among them."""
+
+
+def things_before_planes(points: np.ndarray, least: int) -> Things:
+    """All things of at least ``least`` points before table, floor and walls in a camera-frame cloud (N, 3)."""
+    columns, distance, place = _columns(points)
+    before = take_planes_away(columns, distance, place)
+    index = np.flatnonzero(before.left)
+    clusters = [index[thing] for thing in all_clusters(columns.take(index, 1), distance[index], least)]
+    return Things(clusters, before.planes, before.lowest)
+
+
+def _columns(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A cloud (N, 3) as (3, N) float32, the distance of each point (N,), and its place in the frame (2, N)."""
     columns = np.ascontiguousarray(points.T, dtype=np.float32)
     distance = np.sqrt(np.einsum("an,an->n", columns, columns))
-    left, _ = take_planes_away(columns, distance, _place(columns[:2] / np.maximum(columns[2], 1e-9)))
-    index = np.flatnonzero(left if inside is None else left & inside)
-    return [index[thing] for thing in all_clusters(columns.take(index, 1), distance[index], least)]
+    return columns, distance, _place(columns[:2] / np.maximum(columns[2], 1e-9))
 
 
 def _place(rays: np.ndarray) -> np.ndarray:

@@ -1,11 +1,13 @@
 """The training loop that all networks share: seeded, resumable, limited by steps or by minutes."""
 
 import copy
+import io
 import json
 import math
 import sys
 import time
 from collections.abc import Callable, Sequence
+from contextlib import closing, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -14,12 +16,18 @@ import torch
 from torch import Generator, Tensor, nn
 from tqdm import tqdm
 
+from omad.common.arrays import digest_of
 from omad.common.errors import InputError, WorkError
-from omad.common.files import make_folder, write_atomic
+from omad.common.files import make_folder, write_atomic, write_text, writing
+from omad.common.incoming import read_text, readable
+from omad.common.locks import only_one
+from omad.common.signals import deferred
 from omad.data.surface_bank import SurfaceBank
 from omad.model.checkpoint import Network
 from omad.objects.category import Category
 from omad.objects.model import SampledObject
+
+ANOTHER = "choose another --output, or give the same options and files as before"
 
 
 @dataclass(frozen=True)
@@ -70,10 +78,15 @@ def train_network(
     settings: Training,
     models: Sequence[SampledObject],
     folder: Path,
+    bank: SurfaceBank,
+    made_of: Sequence[nn.Module | None] = (),
 ) -> N:
-    """``train``, with the network, the ``settings`` and the names of the ``models`` as what is trained."""
+    """``train``, where what is trained is the network with all that it depends on: the ``settings``, the ``models`` and
+    their surfaces in ``bank``, and the networks that it is ``made_of`` or begins with."""
     config = {"kind": net.kind, "category": asdict(net.category), "settings": asdict(settings)}
-    return train(net, loss_terms, settings.schedule, folder, config | {"objects": [model.name for model in models]})
+    config |= {"objects": [model.name for model in models], "surfaces": digest_of(vars(bank))}
+    config["networks"] = [None if one is None else digest_of(one.state_dict()) for one in made_of]
+    return train(net, loss_terms, settings.schedule, folder, config)
 
 
 def train(
@@ -84,9 +97,17 @@ def train(
     ``loss_terms`` draws a batch with the generator and returns the weighted terms of the loss; their sum is minimised.
 
     ``folder`` receives ``state.pt`` (everything needed to go on, replaced atomically), ``metrics.jsonl`` and
-    TensorBoard events. ``config`` says what is trained; a state of another config is refused (InputError).
+    TensorBoard events. ``config`` says what is trained; a state of another config is refused (InputError), and so is a
+    folder in which another process trains. Ctrl-C and SIGTERM end it after the step at hand, once the state is saved.
     """
     make_folder(folder)
+    with only_one(folder, "a training"):
+        return _train(model, loss_terms, schedule, folder, config)
+
+
+def _train(
+    model: M, loss_terms: Callable[[M, Generator], Terms], schedule: Schedule, folder: Path, config: dict[str, Any]
+) -> M:
     device = next(model.parameters()).device
     generator = Generator(device=device).manual_seed(schedule.seed)
     trained = [p for p in model.parameters() if p.requires_grad]
@@ -96,25 +117,28 @@ def train(
     step, seconds = 0, 0.0
 
     state_path = folder / "state.pt"
-    identity = json.dumps({**config, "schedule": asdict(schedule)}, sort_keys=True, default=str)
+    identity = _identity(config, schedule)
     if state_path.exists():
         state = _read_state(state_path, identity)
-        for name, part in learned.items():
-            part.load_state_dict(state[name])
-        generator.set_state(state["generator"].cpu())
-        step, seconds = state["step"], state["seconds"]
+        with readable(state_path, "a training state", ANOTHER):
+            for name, part in learned.items():
+                part.load_state_dict(state[name])
+            generator.set_state(state["generator"].cpu())
+            step, seconds = int(state["step"]), float(state["seconds"])
 
     def save() -> None:
         state = {name: part.state_dict() for name, part in learned.items()}
         state |= {"identity": identity, "generator": generator.get_state(), "step": step, "seconds": seconds}
-        write_atomic(state_path, lambda path: torch.save(state, path))
+        kept = io.BytesIO()  # a full disk is an OSError when bytes are written, and anything when torch writes
+        torch.save(state, kept)
+        write_atomic(state_path, lambda path: path.write_bytes(kept.getbuffer()))
 
     log = MetricLog(folder, step)
     saved = time.monotonic()
     began = saved - seconds
     bar = tqdm(total=schedule.steps, initial=step, unit="step", file=sys.stderr, disable=not sys.stderr.isatty())
-    try:
-        while (progress := _progress(step, seconds, schedule)) < 1:
+    with closing(log), closing(bar), deferred() as stop:
+        while (progress := _progress(step, seconds, schedule)) < 1 and not stop:
             for group in optimizer.param_groups:
                 group["lr"] = schedule.learning_rate * _rate(progress)
             terms = loss_terms(model, generator)
@@ -136,10 +160,7 @@ def train(
             if now - saved > schedule.save_seconds:
                 save()
                 saved = now
-    finally:
-        bar.close()
-        log.close()
-    save()
+        save()
     return averaged
 
 
@@ -147,11 +168,12 @@ class MetricLog:
     """Metrics as JSON lines, TensorBoard events (where it is installed), and plain lines now and then."""
 
     def __init__(self, folder: Path, first_step: int) -> None:
-        path = folder / "metrics.jsonl"
-        lines = path.read_text().splitlines() if path.exists() else []
+        self.path = folder / "metrics.jsonl"
+        lines = read_text(self.path, errors="replace").splitlines() if self.path.exists() else []
         # a resumed run repeats the steps after its last saved state
-        path.write_text("".join(f"{line}\n" for line in lines if _step_of(line) <= first_step))
-        self.file = path.open("a", buffering=1)
+        write_text(self.path, "".join(f"{line}\n" for line in lines if _step_of(line) <= first_step))
+        with writing(self.path):
+            self.file = self.path.open("a", buffering=1)
         self.shown = -math.inf
         try:
             from torch.utils.tensorboard import SummaryWriter
@@ -163,10 +185,12 @@ class MetricLog:
 
     def write(self, step: int, seconds: float, batch: int, values: dict[str, float], show: bool) -> None:
         row = {"step": step, "seconds": round(seconds, 2), "loss": sum(values.values()), **values}
-        self.file.write(json.dumps(row) + "\n")
+        with writing(self.path):
+            self.file.write(json.dumps(row) + "\n")
         if self.board:
-            for name, value in row.items():
-                self.board.add_scalar(name, value, step)
+            with suppress(OSError):  # a picture of what stands in metrics.jsonl
+                for name, value in row.items():
+                    self.board.add_scalar(name, value, step)
         if show and seconds - self.shown > 30:
             self.shown = seconds
             rate = step * batch / max(seconds, 1e-9)
@@ -174,27 +198,47 @@ class MetricLog:
             print(f"step {step}  {seconds:.0f} s  {rate:.0f} samples/s  {terms}", file=sys.stderr, flush=True)
 
     def close(self) -> None:
-        self.file.close()
+        with suppress(OSError):
+            self.file.close()
         if self.board:
-            self.board.close()
+            with suppress(OSError):
+                self.board.close()
 
 
 def _step_of(line: str) -> float:
     try:
-        return json.loads(line)["step"]
-    except (json.JSONDecodeError, KeyError):  # the last line of a killed run may be cut short
+        return float(json.loads(line)["step"])
+    except (ValueError, KeyError, TypeError, RecursionError):  # the last line of a killed run may be cut short
         return math.inf
 
 
+def _identity(config: dict[str, Any], schedule: Schedule) -> str:
+    """What is trained; how often that is written down is no part of it."""
+    usual = {"save_seconds": Schedule.save_seconds, "log_steps": Schedule.log_steps}
+
+    def plain(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {key: usual.get(key, plain(each)) for key, each in value.items()}
+        return value
+
+    return json.dumps(plain({**config, "schedule": asdict(schedule)}), sort_keys=True, default=str)
+
+
 def _read_state(path: Path, identity: str) -> dict[str, Any]:
-    try:
+    with readable(path, "a training state of this program", ANOTHER):
         state = torch.load(path, map_location="cpu", weights_only=True)
-        same = state["identity"] == identity
-    except Exception as error:
-        raise InputError(f"{path}: not a training state of this program; choose another --output") from error
-    if not same:
-        raise InputError(f"{path}: belongs to a training with other settings; choose another --output or the same")
+        found = state["identity"]
+    if found != identity:
+        raise InputError(f"{path}: belongs to a training with {_differences(found, identity)}; {ANOTHER}")
     return state
+
+
+def _differences(found: str, wanted: str) -> str:
+    """What two trainings do not share, by name."""
+    with suppress(ValueError, AttributeError):
+        one, other = json.loads(found), json.loads(wanted)
+        return f"other {', '.join(name for name in sorted({*one, *other}) if one.get(name) != other.get(name))}"
+    return "other settings"
 
 
 def _progress(step: int, seconds: float, schedule: Schedule) -> float:

@@ -17,6 +17,7 @@ from omad.model.fitting.state import State
 from omad.model.network_input import first_frame, to_input_frame
 from omad.model.object_prior import object_keypoints
 from omad.model.omadnet import OmadNet
+from omad.model.prior import OmadPrior
 from omad.model.priornet import PriorNet
 from omad.objects.category import Category
 from omad.objects.model import SampledObject
@@ -24,6 +25,10 @@ from omad.objects.model import SampledObject
 from .loop import Schedule, Training, seeded_bank, train_network
 from .losses import confidence_loss, joint_loss, quaternion_loss, segmentation_loss, state_loss
 from .refined_error import axis_distance, refined_error, refinement_loss
+
+SAME_KEYPOINTS = 0.1
+"""Two priors are of the same keypoints where one can put the other's mean shape so near to where it is, on average, in
+category units; others are half an object away, as the order of keypoints is left to chance."""
 
 
 @dataclass(frozen=True)
@@ -150,19 +155,17 @@ def train_net(
 ) -> OmadNet:
     """Train OMADNet on views of ``models``, from ``initial`` weights where given, or with the backbone alone from
     ``features``, whose prior may be another; returns the averaged network. Raises InputError where the prior of
-    ``initial`` is another one: it would answer in another language."""
+    ``initial`` has other keypoints: it would answer in another language."""
     bank = seeded_bank(models, category, settings.schedule.seed, device)
+    made_of = [priornet, initial, features]
     priornet = priornet.to(device).requires_grad_(False)
     nodes = object_keypoints(priornet, bank)
     tells_outside = settings.views.clutter is not None or (initial is not None and initial.tells_outside)
     net = OmadNet(category, priornet.prior, settings.backbone, settings.attention, tells_outside).to(device)
     prior = priornet.prior
     if initial is not None:
-        theirs = initial.prior.basis.to(prior.basis)
-        if theirs.shape != prior.basis.shape or not torch.allclose(theirs, prior.basis, atol=1e-5):
-            raise InputError(
-                "the network to fine-tune belongs to another prior; give --prior the prior it was trained with"
-            )
+        initial = initial.to(device)
+        check_same_keypoints(prior, initial.prior)
         net.start_from(initial)
     if features is not None:
         net.backbone.load_state_dict(features.backbone.state_dict())
@@ -175,4 +178,17 @@ def train_net(
             frames = disturbed_frames(views, settings.second_looks, settings.turned, draw)
         return net_losses(module, views, truth, frames, shape_prior, settings.weights)
 
-    return train_network(net, loss_terms, settings, models, folder)
+    return train_network(net, loss_terms, settings, models, folder, bank, made_of)
+
+
+def check_same_keypoints(prior: OmadPrior, other: OmadPrior) -> None:
+    """Raises InputError where a prior is not the other one, nor was fine-tuned from it."""
+    if prior.basis.shape == other.basis.shape:
+        theirs = other.keypoints(other.beta_mean[None]).to(prior.basis)
+        apart = (prior.keypoints(prior.encode(theirs)) - theirs).norm(dim=-1).mean()
+        if apart < SAME_KEYPOINTS:
+            return
+    raise InputError(
+        "the network to fine-tune belongs to another prior; give --prior the prior it was trained with, or one that was"
+        " fine-tuned from that"
+    )

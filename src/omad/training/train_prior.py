@@ -73,16 +73,20 @@ def train_prior(
     folder: Path,
     settings: PriorTraining,
     device: torch.device | str = "cpu",
+    initial: PriorNet | None = None,
 ) -> PriorNet:
-    """Learn basis, joint function and statistics of beta from ``models``; returns the averaged network."""
+    """Learn basis, joint function and statistics of beta from ``models``, from ``initial`` weights where given, whose
+    keypoints then keep their meaning; returns the averaged network."""
     bank = seeded_bank(models, category, settings.schedule.seed, device)
     net = PriorNet(category, generator=torch.Generator().manual_seed(settings.schedule.seed)).to(device)
+    if initial is not None:
+        net.load_state_dict(initial.state_dict())
 
     def loss_terms(module: PriorNet, draw: torch.Generator) -> dict[str, Tensor]:
         objects, points, labels = _draw(bank, settings, draw)
         return prior_losses(module, points, labels, objects.axes, objects.pivots, settings.weights)
 
-    averaged = train_network(net, loss_terms, settings, models, folder)
+    averaged = train_network(net, loss_terms, settings, models, folder, bank, [initial])
     finish_prior(averaged.prior, object_keypoints(averaged, bank), bank, settings.scale)
     return averaged
 

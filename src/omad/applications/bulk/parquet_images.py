@@ -8,7 +8,6 @@
 - ``id``, if rows have names.
 """
 
-import io
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
@@ -16,10 +15,10 @@ from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
-from PIL import Image
 
 from omad.common.errors import InputError
 from omad.common.files import one_line
+from omad.common.incoming import parse_array, read_image
 from omad.sensing.camera_files import CameraFile, read_camera
 from omad.sensing.depth_files import in_metres
 from omad.sensing.observation import Observation
@@ -145,7 +144,4 @@ def _image(value: Any, shape: tuple[int, int] | None, name: str) -> np.ndarray |
 
 def _decoded(stored: bytes) -> np.ndarray:
     """An image file's bytes."""
-    if stored[:6] == b"\x93NUMPY":
-        return np.load(io.BytesIO(stored), allow_pickle=False)
-    with Image.open(io.BytesIO(stored)) as image:
-        return np.asarray(image)
+    return parse_array(stored, "array") if stored[:6] == b"\x93NUMPY" else read_image(stored, "image")

@@ -6,14 +6,16 @@ part is made of, so that no other run goes on with it.
 
 import json
 from collections.abc import Iterable
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
 from omad.common.batches import batched
 from omad.common.errors import InputError
-from omad.common.files import make_folder, read_json, write_atomic, write_json
-from omad.estimation.estimate import Estimate, plain
+from omad.common.files import make_folder, write_atomic, write_json, writing
+from omad.common.incoming import read_json
+from omad.estimation.estimate import INTERVALS, Estimate, plain
 
 from .parquet_images import SUFFIX, import_pyarrow
 from .stream import Outcome
@@ -36,6 +38,7 @@ def _numbers(estimate: Estimate) -> dict[str, Any]:
         {
             "category": estimate.category.name,
             "converged": estimate.converged,
+            "probability": estimate.probability,
             "residual": estimate.residual,
             "beta": estimate.beta,
             "T_camera_base": estimate.T_camera_base,
@@ -91,16 +94,16 @@ class Results:
 
     def add(self, outcomes: Iterable[Outcome]) -> Iterable[Outcome]:
         """The same outcomes, each of them written before it is handed on."""
-        try:
-            with self.part.open("ab") as file:
-                for outcome in outcomes:
+        with writing(self.part):
+            file = self.part.open("ab")
+        with closing(file):
+            for outcome in outcomes:
+                with writing(self.part):
                     file.write(json.dumps(row(outcome)).encode() + b"\n")
                     file.flush()  # what is done is on disk, whatever ends this process
-                    self.done += 1
-                    self.refused += outcome.estimate is None
-                    yield outcome
-        except OSError as error:
-            raise InputError(f"{self.part}: cannot be written ({error.strerror}); make room, and run again") from error
+                self.done += 1
+                self.refused += outcome.estimate is None
+                yield outcome
 
     def finish(self) -> None:
         """Give the file its name."""
@@ -119,9 +122,9 @@ class Results:
             for line in file:
                 try:
                     found = json.loads(line) if line.endswith(b"\n") else None
-                except ValueError:
+                except (ValueError, RecursionError):
                     found = None
-                if found is None:
+                if not isinstance(found, dict) or not {"refused", "name"} <= found.keys():
                     break
                 place, count, refused = place + len(line), count + 1, refused + (found["refused"] is not None)
                 if count % batch == 0:
@@ -135,8 +138,9 @@ class Results:
         numbers = pyarrow.list_(number)
         joint = {"name": text, "type": text, "state": number, "state_std": number, "fraction": number}
         joint |= {"limits": numbers, "axis": numbers, "pivot": numbers, "pitch": number}
-        columns = {"name": text, "refused": text, "category": text, "converged": truth, "residual": number}
-        columns |= {"beta": numbers, "T_camera_base": pyarrow.list_(numbers)}
+        joint |= {f"interval_{level}": numbers for level in INTERVALS}
+        columns = {"name": text, "refused": text, "category": text, "converged": truth, "probability": number}
+        columns |= {"residual": number, "beta": numbers, "T_camera_base": pyarrow.list_(numbers)}
         columns |= {"T_camera_part": pyarrow.list_(pyarrow.list_(numbers))}
         columns |= {"joints": pyarrow.list_(pyarrow.struct(joint)), "warnings": pyarrow.list_(text)}
         schema = pyarrow.schema(columns)

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from omad.common.errors import InputError
+from omad.common.incoming import read_arrays
 from omad.sensing.depth_files import in_metres
 from omad.sensing.input_options import FrameOptions, InputOptions
 from omad.sensing.observation import Observation
@@ -97,8 +98,8 @@ def _stack_in(path: Path, key: str, named: bool = False) -> np.ndarray | None:
     only of an NPZ."""
     try:
         if path.suffix.lower() == ".npz":
-            with np.load(path, allow_pickle=False) as file:
-                found = file[key] if key in file.files else None
+            stored = read_arrays(path, "a stack of images")
+            found = stored.get(key) if isinstance(stored, dict) else None
         elif path.suffix.lower() == ".npy" and not named:
             found = np.load(path, mmap_mode="r", allow_pickle=False)
         else:

@@ -1,20 +1,21 @@
 """Finds the objects of a frame: planes are taken away, what is left falls into things, categories judge each thing."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cache
 from typing import Any
 
 import numpy as np
 
-from omad.common.errors import InputError
+from omad.common.arrays import as_doubles
 from omad.estimation.estimate import Estimate, plain
 from omad.estimation.estimator import Estimator
 from omad.estimation.evidence import measure_evidence
 from omad.geometry.rigid import box as bounds
 from omad.model.checkpoint import shipped_categories
-from omad.sensing.observation import Observation, region_of
+from omad.sensing.observation import Observation
 from omad.sensing.segmentation import things_before_planes
+from omad.sensing.steadying import steadied
 
 from .judgement import ODD_SIZE, Judgement, against, size_ratio
 
@@ -22,6 +23,10 @@ LEAST = 150
 """Points of the smallest thing that is looked at."""
 SURE = 0.6
 """An object is of a category that is at least so likely; what reaches this for no category is none of them."""
+WITHIN = 0.5
+"""A thing with this share of its points in a box is what the box is about; its neighbours only reach inside."""
+CLEAR = 8.0
+"""What is so many times as high as the lowest thing that can be told from a plane is seen well enough."""
 
 
 @dataclass(frozen=True)
@@ -33,9 +38,9 @@ class Detection:
     probabilities: dict[str | None, float]
     """Of each category, likeliest first; None: of none of them."""
     estimate: Estimate | None
-    """By its category; None where it is of none."""
+    """By its category, of its steadied points; None where it is of none."""
     evidence: dict[str, np.ndarray]
-    """(6,) what speaks ``against`` each category of about its size."""
+    """(8,) what speaks ``against`` each category of about its size."""
 
     @property
     def category(self) -> str | None:
@@ -72,6 +77,18 @@ class Detection:
 
 
 @dataclass(frozen=True)
+class Look:
+    """What one look at a frame finds."""
+
+    detections: list[Detection]
+    """Objects first and the likeliest of them first."""
+    lowest: float
+    """Metres: what rises less over table, floor or wall at the middle distance cannot be told from it by depth."""
+    too_flat: tuple[str, ...]
+    """Those of the categories whose objects, laid flat, are about so low."""
+
+
+@dataclass(frozen=True)
 class Detector:
     """Looks for objects of the categories whose estimators it has."""
 
@@ -82,17 +99,29 @@ class Detector:
         """All things of a whole ``frame``, objects first and the likeliest of them first; within a ``box``
         (x1, y1, x2, y2) in pixels where one is given. Things that lie flat on a table cannot be told from it by depth,
         and things that touch are one. Raises InputError for a box of a bare cloud."""
-        seen = [_part(frame, thing) for thing in things_before_planes(frame.points, LEAST, _inside(frame, box))]
+        return self.look(frame, box).detections
+
+    def look(self, frame: Observation, box: Sequence[float] | None = None) -> Look:
+        """The same, with what cannot be found."""
+        inside = None if box is None else frame.inside(box)
+        found = things_before_planes(frame.points, LEAST)
+        seen = [frame.part(thing) for thing in _of_box(found.clusters, inside)]
+        flat = tuple(e.category.name for e in self.estimators if _height(e) < CLEAR * found.lowest)
+        return Look(self._judged(seen, found.planes), found.lowest, flat)
+
+    def _judged(self, seen: Sequence[Observation], planes: np.ndarray) -> list[Detection]:
+        """Each of the things that were ``seen`` before ``planes`` (P, 4)."""
+        steady = [steadied(thing) for thing in seen]
         evidence: list[dict[str, np.ndarray]] = [{} for _ in seen]
         estimates: list[dict[str, Estimate]] = [{} for _ in seen]
         for estimator in self.estimators:
             category = estimator.category
-            ratios = [size_ratio(thing.points, category) for thing in seen]
+            ratios = [size_ratio(thing.points, category) for thing in steady]
             of_its_size = [i for i, ratio in enumerate(ratios) if 1 / ODD_SIZE < ratio < ODD_SIZE]
-            found = estimator([seen[i] for i in of_its_size]) if of_its_size else []
+            found = estimator([steady[i] for i in of_its_size]) if of_its_size else []
             for i, estimate in zip(of_its_size, found, strict=True):
-                measured = measure_evidence(seen[i], estimate, estimator.net.prior)
-                evidence[i][category.name] = against(measured, estimate, ratios[i])
+                measured = measure_evidence(steady[i], estimate, estimator.net.prior)
+                evidence[i][category.name] = against(measured, estimate, ratios[i], planes)
                 estimates[i][category.name] = estimate
         detections = []
         for thing, numbers, candidates in zip(seen, evidence, estimates, strict=True):
@@ -116,21 +145,18 @@ def _detector(categories: tuple[str, ...]) -> Detector:
     return Detector([Estimator.from_pretrained(name) for name in categories])
 
 
-def _inside(frame: Observation, box: Sequence[float] | None) -> np.ndarray | None:
-    """(N,) bool of the frame's points."""
-    if box is None:
-        return None
-    if frame.depth is None or frame.pixels is None:
-        raise InputError("box: needs a depth image; a bare cloud has no pixels")
-    return region_of(frame.depth.shape, None, box)[tuple(frame.pixels.T[::-1])]
+def _of_box(things: Sequence[np.ndarray], inside: np.ndarray | None) -> list[np.ndarray]:
+    """The things that a box is about, points ``inside`` (N,) of it: those that mostly lie in it, or where there are
+    none, as the thing touches others, all that reaches inside."""
+    if inside is None:
+        return list(things)
+    cut = [(thing[inside[thing]], len(thing)) for thing in things]
+    cut = [(part, of) for part, of in cut if len(part) >= LEAST]
+    return [part for part, of in cut if len(part) >= WITHIN * of] or [part for part, _ in cut]
 
 
-def _part(frame: Observation, index: np.ndarray) -> Observation:
-    """Some of a frame's points."""
-    points = frame.points[index]
-    if frame.depth is None or frame.pixels is None:
-        return replace(frame, points=points)
-    pixels = frame.pixels[index]
-    mask = np.zeros(frame.depth.shape, dtype=bool)
-    mask[pixels[:, 1], pixels[:, 0]] = True
-    return replace(frame, points=points, pixels=pixels, mask=mask)
+def _height(estimator: Estimator) -> float:
+    """Metres, of the category's mean object at rest."""
+    prior = estimator.net.prior
+    keypoints = as_doubles(prior.keypoints(prior.beta_mean[None]).detach()[0])
+    return float(np.ptp(keypoints[:, 1])) * estimator.category.metres_per_unit

@@ -17,11 +17,14 @@ from scipy.spatial import ConvexHull
 from omad.estimation.checks import USUAL_SIZE
 from omad.estimation.estimate import Estimate
 from omad.estimation.evidence import Evidence
+from omad.estimation.part_labels import OUTSIDE
 from omad.objects.category import Category
 
 FITTED = Path(__file__).with_name("judgement.json")
 ODD_SIZE = 3.5
 """What is so many times larger or smaller than usual is none of the category."""
+LYING = 0.5
+"""Of the tilt, one less its cosine: what is tilted by 60 degrees or more does not stand."""
 
 
 def size_ratio(points: np.ndarray, category: Category) -> float:
@@ -29,17 +32,25 @@ def size_ratio(points: np.ndarray, category: Category) -> float:
     return float(np.linalg.norm(np.ptp(points, axis=0))) / (USUAL_SIZE * category.metres_per_unit)
 
 
-def against(evidence: Evidence, estimate: Estimate, ratio: float) -> np.ndarray:
-    """(6,) what speaks against a category; grows as it fits worse. ``ratio`` is the ``size_ratio``."""
+def against(evidence: Evidence, estimate: Estimate, ratio: float, planes: np.ndarray) -> np.ndarray:
+    """(8,) what speaks against a category; grows as it fits worse. ``ratio`` is the ``size_ratio``; ``planes`` (P, 4)
+    are those of table, floor and walls, n . p = d, n towards the camera."""
     odd_size = math.log(max(ratio, 1e-6)) ** 2
     fit = [evidence.unsure, evidence.shape_mahalanobis, evidence.uncovered, evidence.unseen]
-    return np.array([*fit, odd_size, _solidity(estimate)])
+    outside = math.sqrt(float((estimate.part_labels == OUTSIDE).mean()))
+    return np.array([*fit, odd_size, _solidity(estimate), outside, _tilt(estimate, planes)])
+
+
+def _tilt(estimate: Estimate, planes: np.ndarray) -> float:
+    """By how much the object does not stand upright on any of the planes: 0 upright, ``LYING`` at most."""
+    up = estimate.T_camera_base[:3, 1]
+    return float(min(1 - (planes[:, :3] @ up).max(initial=-1), LYING)) if len(planes) else 0.0
 
 
 def _solidity(estimate: Estimate) -> float:
     """Volume of the estimated object's parts as a share of that of their common hull: near one for a closed dishwasher,
     which any box looks like; an open one looks like nothing else."""
-    parts = [mesh.vertices for mesh in estimate.object_model().posed(estimate.joint_states)]
+    parts = [mesh.vertices for mesh in estimate.hull_model().posed(estimate.joint_states)]
     whole, *each = (ConvexHull(points, qhull_options="QJ").volume for points in (np.concatenate(parts), *parts))
     return min(sum(each) / max(whole, 1e-12), 1.0)
 
@@ -49,7 +60,7 @@ class Judgement:
     """Weights of the evidence, by the names of categories: their networks differ in how sure they are."""
 
     weights: Mapping[str, Sequence[float]]
-    """(6,) log-odds per unit of what ``against`` returns."""
+    """(8,) log-odds per unit of what ``against`` returns."""
     offsets: Mapping[str, float]
     """Log-odds of a category over none where nothing speaks against it."""
 
@@ -59,7 +70,7 @@ class Judgement:
         return cls(**json.loads(FITTED.read_text(encoding="utf-8")))
 
     def probabilities(self, evidence: Mapping[str, np.ndarray]) -> dict[str | None, float]:
-        """Of the categories whose evidence (6,) is given by their names, and of none of them (None); likeliest first.
+        """Of the categories whose evidence (8,) is given by their names, and of none of them (None); likeliest first.
         A category of one's own has the mean weights of the known ones."""
         scores: dict[str | None, float] = {None: 0.0}
         for name, values in evidence.items():

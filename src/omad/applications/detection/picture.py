@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from omad.data.rendering.rasteriser import render
-from omad.output.picture import blank_panels, camera_around, draw_points, part_colours, shaded
+from omad.output.picture import blank_panels, camera_around, draw_points, part_colours, plain_texts, shaded
 from omad.sensing.observation import Observation
 
 from .detector import Detection
@@ -44,5 +44,6 @@ def figure(frame: Observation, detections: Sequence[Detection], title: str = "")
     seen.set_title("found")
     estimated.set_title("estimated objects")
     fig.suptitle(title)
+    plain_texts(fig)
     fig.tight_layout()
     return fig

@@ -15,6 +15,7 @@ from omad.geometry.mesh import Mesh, convex_hull
 from omad.model.fitting.state import State
 from omad.model.posed_object import PosedObject, posed_objects
 from omad.model.prior import OmadPrior
+from omad.model.surfaces.surfaces import Surfaces
 from omad.objects.category import Category
 from omad.output.picture import reading
 
@@ -55,8 +56,8 @@ class Drawing:
 
     keypoints: np.ndarray
     """(M, 3)."""
-    hulls: tuple[Mesh, ...]
-    """Per part the convex hull of its keypoints, at rest."""
+    parts: tuple[Mesh, ...]
+    """Each part's surface at rest."""
     T_base_part: np.ndarray
     """(K, 4, 4) takes rest coordinates of a part to where it is."""
     arrows: np.ndarray
@@ -66,8 +67,9 @@ class Drawing:
 class ObjectSpace:
     """All objects that a category's prior knows."""
 
-    def __init__(self, prior: OmadPrior, category: Category) -> None:
-        self.category, self._prior = category, prior
+    def __init__(self, prior: OmadPrior, category: Category, surfaces: Surfaces | None = None) -> None:
+        """Without ``surfaces`` parts are drawn as hulls of their keypoints."""
+        self.category, self._prior, self._surfaces = category, prior, surfaces
         self._mean, self._covariance = as_doubles(prior.beta_mean), as_doubles(prior.beta_covariance)
         self._sigma = np.maximum(np.sqrt(np.clip(np.diag(self._covariance), 0, None)), 1e-9)
         self.limits = category.metric_limits
@@ -110,12 +112,15 @@ class ObjectSpace:
         return replace(state, beta=_changed(state.beta, component, value))
 
     def draw(self, state: ObjectState) -> Drawing:
-        """Keypoints, part hulls and joint axes of an object."""
+        """Keypoints, parts and joint axes of an object."""
         values = (state.beta, state.joint_states / self.category.state_units, np.eye(4))
         like = self._prior.learned_basis
         [posed] = posed_objects(self._prior, self.category, State(*(torch.as_tensor(v).to(like)[None] for v in values)))
-        hulls = tuple(convex_hull(posed.canonical_keypoints[part]) for part in self._prior.keypoints_of_part)
-        return Drawing(posed.keypoints, hulls, posed.placed.T_camera_part, self._arrows(posed))
+        if self._surfaces is not None:
+            parts = self._surfaces.of_keypoints(posed.canonical_keypoints)
+        else:
+            parts = tuple(convex_hull(posed.canonical_keypoints[part]) for part in self._prior.keypoints_of_part)
+        return Drawing(posed.keypoints, parts, posed.placed.T_camera_part, self._arrows(posed))
 
     def _arrows(self, posed: PosedObject) -> np.ndarray:
         """An axis passes the part that it moves, and sticks out of it on either side."""

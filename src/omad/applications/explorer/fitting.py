@@ -7,16 +7,19 @@ from typing import Self
 
 import numpy as np
 
-from omad.common.errors import InputError
+from omad.common.errors import InputError, shown
 from omad.data.procedural import generate
 from omad.data.rendering.standard_views import standard_view
 from omad.estimation.estimate import Estimate
 from omad.estimation.estimator import Estimator
 from omad.geometry.rigid import carry
 from omad.output.picture import reading
+from omad.sensing.camera_files import is_numbers
 from omad.sensing.input_options import InputOptions
 from omad.sensing.observation import Observation
 from omad.sensing.reader import InputReader
+
+from .places import Places
 
 MAX_POINTS = 8_000
 """Of a cloud that are drawn."""
@@ -30,14 +33,19 @@ class FitRequest:
     options: InputOptions = InputOptions()
 
     @classmethod
-    def of_texts(cls, file: str, intrinsics: str, mask: str, box: str, on_plane: bool, depth_scale: str) -> Self:
-        """From what stands in text boxes; an empty one says nothing. Raises InputError."""
+    def of_texts(
+        cls, file: str, intrinsics: str, mask: str, box: str, on_plane: bool, depth_scale: str, places: Places
+    ) -> Self:
+        """From what stands in text boxes; an empty one says nothing. Raises InputError, also for files that are not in
+        one of the ``places``."""
         file, intrinsics, mask, box, scale = (text.strip() for text in (file, intrinsics, mask, box, depth_scale))
         if not file:
             raise InputError("no file to fit; upload one or type the path of a depth image or a cloud")
+        if intrinsics and not is_numbers(intrinsics):
+            intrinsics = str(places.checked(intrinsics))
         options = InputOptions(intrinsics=intrinsics or None, box=box or None, segment="plane" if on_plane else None)
-        found = {"mask": Path(mask).expanduser() if mask else None, "depth_scale": _scale(scale) if scale else None}
-        return cls(Path(file).expanduser(), replace(options, **found))
+        found = {"mask": places.checked(mask) if mask else None, "depth_scale": _scale(scale) if scale else None}
+        return cls(places.checked(file), replace(options, **found))
 
 
 @dataclass(frozen=True)
@@ -87,6 +95,7 @@ def describe_fit(fit: Fit) -> str:
     milliseconds = 1000 * sum(estimate.seconds.values())
     said = f"{len(estimate.part_labels)} points, residual {1000 * estimate.residual:.1f} mm, {milliseconds:.0f} ms"
     doubts = [*estimate.warnings] + ["the fit did not converge"] * (not estimate.converged)
+    doubts += ["doubtful: rather wrong than right"] * bool(estimate.doubtful)
     found = [f"**Found in** `{fit.title.replace('`', '')}`", "\n".join(rows), said]
     return "\n\n".join(found + [f"⚠️ {doubt}" for doubt in doubts])
 
@@ -95,4 +104,4 @@ def _scale(text: str) -> float:
     with suppress(ValueError):
         if 0 < float(text) < float("inf"):
             return float(text)
-    raise InputError(f"depth scale {text}: must be a number above 0, in metres per stored number")
+    raise InputError(f"depth scale {shown(text)}: must be a number above 0, in metres per stored number")

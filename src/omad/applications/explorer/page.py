@@ -2,6 +2,7 @@
 
 import threading
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Literal
@@ -9,25 +10,38 @@ from typing import Literal
 import numpy as np
 import viser
 
-from omad.common.errors import InputError
+from omad.common.errors import InputError, WorkError
+from omad.common.files import writing
 from omad.estimation.estimator import Estimator
 
 from .drawing import SIGMAS, ObjectSpace, ObjectState
 from .fitting import Fit, FitRequest, describe_fit, fit_demo, fit_file
+from .places import Places, plain_name
 from .scene import LAYERS, Scene
 
 Colour = Literal["blue", "gray"]
 Slider = viser.GuiSliderHandle[float]
 Button = viser.GuiButtonHandle
+LARGEST = 1e4
+"""Of a slider's numbers."""
+NOWHERE = Places()
 WHOLE_IMAGE, ON_PLANE = "whole image, mask or box", "largest thing on the dominant plane"
 
 
 class ExplorerPage:
     """One page, the same in every browser that looks at it. Sliders and texts are attributes, for tests."""
 
-    def __init__(self, server: viser.ViserServer, estimator: Estimator, components: int, seed: int) -> None:
-        """``components``: how many numbers of beta are shown at once; the others are in a folder to open."""
-        self.space = ObjectSpace(estimator.net.prior, estimator.category)
+    def __init__(
+        self,
+        server: viser.ViserServer,
+        estimator: Estimator,
+        components: int,
+        seed: int,
+        places: Places = NOWHERE,
+    ) -> None:
+        """``components``: how many numbers of beta are shown at once; the others are in a folder to open. ``places``:
+        where files may lie that the page names; uploaded ones always may."""
+        self.space = ObjectSpace(estimator.net.prior, estimator.category, estimator.surfaces)
         self.state = self.space.mean()
         self.fit: Fit | None = None
         self._estimator, self._server = estimator, server
@@ -35,6 +49,7 @@ class ExplorerPage:
         self._lock = threading.RLock()
         self._stale = True
         self._uploads = TemporaryDirectory(prefix="omad-explore-")
+        self._places = replace(places, folders=(*places.folders, Path(self._uploads.name)))
         category = estimator.category
         self._scene = Scene(server, category.metres_per_unit, category.part_of_keypoint)
         server.gui.configure_theme(control_layout="fixed", show_logo=False, show_share_button=False)
@@ -84,7 +99,6 @@ class ExplorerPage:
         self.mask = gui.add_text("Mask", "", hint="Path of an image, non-zero where the object is.")
         self._upload("Upload mask", lambda path: setattr(self.mask, "value", str(path)))
         hint = "Metres per stored number; empty: 0.001 for integers, else 1."
-        hint = "Metres per stored number; empty: 0.001 for integers, else 1."
         self.scale = gui.add_text("Depth scale", "", hint=hint)
         self.path = gui.add_text("File", "", hint="Path of a depth image (PNG, TIFF, NPY) or a cloud (PLY, PCD, XYZ).")
         self._on_click("Fit this file", self._fit_path, "Estimate the object in it and set the sliders to it.")
@@ -105,11 +119,15 @@ class ExplorerPage:
 
     def _moves(self, slider: Slider, change: Callable[[ObjectState, float], ObjectState]) -> Slider:
         def moved(event: viser.GuiEvent) -> None:
-            if event.client is not None:  # set by a person, not by this page
-                with self._lock:
-                    self.state = change(self.state, slider.value)
-                    self._stale = True
-                self._redraw()
+            if event.client is None:  # set by this page, not by a person
+                return
+            value = slider.value
+            if not abs(value) <= LARGEST:  # no slider of ours sends that, or NaN
+                return
+            with self._lock:
+                self.state = change(self.state, float(value))
+                self._stale = True
+            self._redraw()
 
         slider.on_update(moved)
         return slider
@@ -124,9 +142,14 @@ class ExplorerPage:
 
         def taken(event: viser.GuiEvent[viser.GuiUploadButtonHandle]) -> None:
             file = event.target.value
-            path = Path(self._uploads.name) / Path(file.name).name
-            path.write_bytes(file.content)
-            self._told(event.client, lambda: take(path))
+            path = Path(self._uploads.name) / plain_name(file.name)
+
+            def keep() -> None:
+                with writing(path):
+                    path.write_bytes(file.content)
+                take(path)
+
+            self._told(event.client, keep)
 
         button.on_upload(taken)
 
@@ -134,7 +157,7 @@ class ExplorerPage:
         """Do what a button says; what is wrong with the input is said in the page that asked."""
         try:
             act()
-        except InputError as error:
+        except (InputError, WorkError) as error:
             if client is not None:
                 text = " ".join(str(error).split())
                 client.add_notification("That did not work", text, color="red", auto_close_seconds=15.0)
@@ -180,7 +203,7 @@ class ExplorerPage:
 
     def _fit_path(self) -> None:
         texts = (self.path.value, self.intrinsics.value, self.mask.value, self.box.value)
-        request = FitRequest.of_texts(*texts, self.segment.value == ON_PLANE, self.scale.value)
+        request = FitRequest.of_texts(*texts, self.segment.value == ON_PLANE, self.scale.value, self._places)
         self.show_fit(fit_file(self._estimator, request))
 
     def _fit_upload(self, path: Path) -> None:

@@ -14,9 +14,9 @@ from .drawing import Drawing
 from .fitting import Fit
 
 AXIS_COLOUR = (170, 0, 30)
-GLASS: Any = {"opacity": 0.45, "flat_shading": True, "side": "double", "cast_shadow": False}
-"""How hulls look."""
-LAYERS = ("hulls", "keypoints", "axes", "cloud", "seen keypoints")
+SOLID: Any = {"opacity": 0.8, "flat_shading": True, "side": "double", "cast_shadow": False}
+"""How parts look: cloud and keypoints inside shine through."""
+LAYERS = ("parts", "keypoints", "axes", "cloud", "seen keypoints")
 """What can be shown and hidden; the last two are there after a fit."""
 
 
@@ -56,10 +56,10 @@ class Scene:
             self._add_keypoints(drawing)
             sizes: Any = {"shaft_radius": 0.012 * unit, "head_radius": 0.035 * unit, "head_length": 0.1 * unit}
             self._scene.add_arrows("/axes/arrows", drawing.arrows, AXIS_COLOUR, **sizes)
-            for part, (hull, T) in enumerate(zip(drawing.hulls, drawing.T_base_part, strict=True)):
+            for part, (mesh, T) in enumerate(zip(drawing.parts, drawing.T_base_part, strict=True)):
                 pose: Any = {"wxyz": Rotation.from_matrix(T[:3, :3]).as_quat()[[3, 0, 1, 2]], "position": T[:3, 3]}
-                look = pose | {"color": _bytes(part_colours(part)), **GLASS}
-                self._scene.add_mesh_simple(f"/hulls/{part}", hull.vertices.astype(np.float32), hull.faces, **look)
+                look = pose | {"color": _bytes(part_colours(part)), **SOLID}
+                self._scene.add_mesh_simple(f"/parts/{part}", mesh.vertices.astype(np.float32), mesh.faces, **look)
             self._lay_floor(drawing)
 
     def show_fit(self, fit: Fit) -> None:
@@ -93,7 +93,7 @@ class Scene:
 
     def _lay_floor(self, drawing: Drawing) -> None:
         """A grid under the base, which stays where it is while other parts move: 10 cm a square, or 1 cm."""
-        low = float(drawing.hulls[0].vertices[:, 1].min()) - 0.02 * self._unit
+        low = float(drawing.parts[0].vertices[:, 1].min()) - 0.02 * self._unit
         if abs(low - self._floor) < 1e-4:
             return
         self._floor = low

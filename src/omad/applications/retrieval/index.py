@@ -1,5 +1,6 @@
 """A catalogue of objects that is asked by shape. One file holds it, whole or not at all."""
 
+import hashlib
 import io
 import json
 import os
@@ -10,11 +11,14 @@ from typing import Literal, Self
 
 import numpy as np
 
+from omad.common.decode import Shape
 from omad.common.errors import InputError
 from omad.common.files import write_atomic
+from omad.common.incoming import decoded, existing, parse_json, read_arrays, readable
+from omad.common.limits import check_limit
 
 from .search import ExactSearch, GraphSearch, Neighbours
-from .signature import Signature, Space, information_factor
+from .signature import Metric, Signature, Space, information_factor
 
 FORMAT = "omad-index-2"
 Backend = Literal["exact", "faiss"]
@@ -98,6 +102,8 @@ class ShapeIndex:
         whatever the backend. Raises InputError for a signature of another prior, and where its covariance is needed
         and not known."""
         self.space.check(signature)
+        if not isinstance(count, int) or count < 1:
+            raise InputError(f"count {count}: give a whole number from 1")
         if by_information:
             if signature.covariance is None:
                 raise InputError("the query's covariance is not known; leave out the weighting by information")
@@ -133,18 +139,19 @@ class ShapeIndex:
 
     def save(self, path: str | Path) -> None:
         """Write one file in place of what was there; a crash leaves the old one."""
+        if self.backend == "faiss":
+            self.nearest(self.betas[:1], 1)  # builds the graph, if that is not done
         head = {name: getattr(self.space, name) for name in ("prior", "category", "metric")}
         head |= {"format": FORMAT, "backend": self.backend}
         head |= {"names": [entry.name for entry in self.entries], "sources": [entry.source for entry in self.entries]}
         pictures = [entry.thumbnail for entry in self.entries]
-        arrays = {"head": np.frombuffer(json.dumps(head).encode(), dtype=np.uint8), "factor": self.space.factor}
-        arrays |= {"betas": self.betas, "covariances": self._covariances}
+        arrays = {"factor": self.space.factor, "betas": self.betas, "covariances": self._covariances}
         arrays["thumbnails"] = np.frombuffer(b"".join(pictures), dtype=np.uint8)
         arrays["thumbnail_sizes"] = np.array([*map(len, pictures)], dtype=np.int64)
-        if self.backend == "faiss" and len(self):
-            self.nearest(self.betas[:1], 1)  # builds the graph, if that is not done
-            assert isinstance(self._search, GraphSearch)
+        if isinstance(self._search, GraphSearch):
             arrays["graph"] = self._search.to_bytes()
+        head["sha256"] = _digest(arrays)
+        arrays["head"] = np.frombuffer(json.dumps(head).encode(), dtype=np.uint8)
 
         def write(temporary: Path) -> None:
             with temporary.open("wb") as file:
@@ -157,25 +164,60 @@ class ShapeIndex:
     @classmethod
     def load(cls, path: str | Path) -> Self:
         """Read what ``save`` wrote. Raises InputError for a missing, damaged or foreign file."""
-        if not Path(path).is_file():
-            raise InputError(f"{path}: no such file; omad index build makes one")
-        try:
-            with np.load(path, allow_pickle=False) as file:
-                arrays = dict(file)
-            head = dict(json.loads(arrays["head"].tobytes()))
-        except Exception as error:  # a damaged archive raises anything
-            raise InputError(f"{path}: not an index, or damaged; build it anew") from error
-        if head.get("format") != FORMAT:
-            raise InputError(f"{path}: format {head.get('format')!r} is not {FORMAT}; build the index anew")
-        try:
-            index = cls(Space(head["prior"], head["category"], head["metric"], arrays["factor"]), head["backend"])
-            pictures = io.BytesIO(arrays["thumbnails"].tobytes())
-            columns = zip(head["names"], head["sources"], arrays["thumbnail_sizes"].tolist(), strict=True)
-            entries = [Entry(name, source, pictures.read(size)) for name, source, size in columns]
-            index.add_betas(arrays["betas"], entries)
-            index._covariances = arrays["covariances"]
-        except (KeyError, ValueError, TypeError) as error:
-            raise InputError(f"{path}: a part of the index is missing or wrong ({error}); build it anew") from error
-        if "graph" in arrays:
+        cure = "build it anew"
+        path = existing(path, "an index, as omad index build makes it")
+        arrays = read_arrays(path, "an index", cure)
+        if not isinstance(arrays, dict) or "head" not in arrays:
+            raise InputError(f"{path}: not an index; {cure}")
+        values = parse_json(arrays.pop("head").tobytes(), path, cure)
+        if not isinstance(values, dict) or values.get("format") != FORMAT:
+            found = values.get("format") if isinstance(values, dict) else None
+            raise InputError(f"{path}: format {found!r} is not {FORMAT}; {cure}")
+        head = decoded(_Head, values, path, cure)
+        with readable(path, "an index (a part of it is missing or wrong)", cure):
+            if head.sha256 not in (None, _digest(arrays)):
+                raise InputError(f"{path}: is damaged (its numbers do not give its checksum); {cure}")
+            return cls._of(head, arrays)
+
+    @classmethod
+    def _of(cls, head: "_Head", arrays: dict[str, np.ndarray]) -> Self:
+        """Raises anything for parts that do not fit together."""
+        count, size = len(head.names), len(arrays["factor"])
+        check_limit("catalogue", count, "the index")
+        factor, covariances = (Shape(size, size).array(arrays[name]) for name in ("factor", "covariances"))
+        betas, sizes = Shape(count, size).array(arrays["betas"]), arrays["thumbnail_sizes"]
+        if sizes.shape != (count,) or sizes.dtype.kind != "i" or not (sizes >= 0).all():
+            raise ValueError("thumbnail_sizes")
+        if sizes.sum() != arrays["thumbnails"].nbytes or len(head.sources) != count:
+            raise ValueError("thumbnails and sources")
+        index = cls(Space(head.prior, head.category, head.metric, factor), head.backend)
+        pictures = io.BytesIO(arrays["thumbnails"].tobytes())
+        columns = zip(head.names, head.sources, sizes.tolist(), strict=True)
+        index.add_betas(betas, [Entry(name, source, pictures.read(size)) for name, source, size in columns])
+        index._covariances = covariances
+        # a graph is for FAISS to read, which trusts it: one without a checksum is made anew
+        if "graph" in arrays and head.sha256 is not None:
             index._search = GraphSearch.from_bytes(arrays["graph"])
         return index
+
+
+@dataclass(frozen=True)
+class _Head:
+    """What an index's file says of itself."""
+
+    format: str
+    prior: str
+    category: str
+    metric: Metric
+    backend: Backend
+    names: tuple[str, ...]
+    sources: tuple[str, ...]
+    sha256: str | None = None
+
+
+def _digest(arrays: dict[str, np.ndarray]) -> str:
+    digest = hashlib.sha256()
+    for name in sorted(arrays):
+        digest.update(f"{name} {arrays[name].dtype} {arrays[name].shape}".encode())
+        digest.update(np.ascontiguousarray(arrays[name]).data)
+    return digest.hexdigest()

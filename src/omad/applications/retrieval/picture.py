@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from PIL import Image
 
-from omad.common.errors import InputError
+from omad.common.incoming import read_image, readable
 from omad.objects.model import ObjectModel
 from omad.output.contact_sheet import picture
 from omad.output.picture import blank_panels
@@ -71,8 +71,6 @@ def _png(image: np.ndarray) -> bytes:
 
 
 def _read(thumbnail: bytes) -> np.ndarray:
-    try:
-        with Image.open(io.BytesIO(thumbnail)) as image:
-            return np.asarray(image.convert("RGB"))
-    except OSError as error:
-        raise InputError("a thumbnail of the index is damaged; build the index anew") from error
+    stored = read_image(thumbnail, "a thumbnail of the index", cure="build the index anew")
+    with readable("a thumbnail of the index", "an image", "build the index anew"):
+        return np.asarray(Image.fromarray(stored).convert("RGB"))

@@ -96,7 +96,10 @@ def model_signatures(net: PriorNet, models: Sequence[SampledObject]) -> list[Sig
 def information_factor(query: np.ndarray, usual: np.ndarray) -> np.ndarray:
     """(D, D): Euclidean distance between ``factor @ beta`` counts in standard deviations of the difference between a
     query, of covariance ``query`` (D, D), and the gallery's entries, whose covariance is usually ``usual`` (D, D)."""
-    return np.linalg.inv(np.linalg.cholesky(query + usual))
+    try:
+        return np.linalg.inv(np.linalg.cholesky(query + usual))
+    except np.linalg.LinAlgError as error:
+        raise InputError("the covariances are none; leave out the weighting by information") from error
 
 
 def fuse(signatures: Sequence[Signature]) -> Signature:

@@ -1,14 +1,19 @@
 """Frames in order: which files they are, and when each was taken."""
 
 import csv
+import io
 import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from omad.common.errors import InputError
+from omad.common.errors import InputError, shown
+from omad.common.incoming import existing, read_text
 from omad.sensing.reader import input_files
 
+from .tracker import LATEST
+
+DIGITS = 30
 STAMPS = {19: 1e-9, 16: 1e-6, 13: 1e-3, 10: 1.0}
 """Seconds per unit of a time stamp since 1970 by its number of digits."""
 
@@ -52,6 +57,8 @@ class Clock:
         number = re.search(r"(\d+)(\.\d+)?$", path.stem)
         if number is None:
             return self.count / self.fps
+        if len(number[0]) > DIGITS:
+            raise InputError(f"{shown(path)}: its number is no time; give the times with --times")
         if number[2]:
             return float(number[0])
         unit = STAMPS.get(len(number[0]))
@@ -75,10 +82,18 @@ def frames_from(lines: Iterable[str], clock: Clock) -> Iterator[FrameFile]:
         if not name:
             continue
         try:
-            seconds = float(time) if time else None
+            seconds = seconds_of(time) if time else None
         except ValueError as error:
-            raise InputError(f"{name}: time {time!r} is no number of seconds") from error
+            raise InputError(f"{shown(name)}: time {shown(time)!r} is no number of seconds") from error
         yield FrameFile(Path(name), clock(Path(name)) if seconds is None else seconds)
+
+
+def seconds_of(text: str) -> float:
+    """Raises ValueError for what is no time."""
+    seconds = float(text)
+    if not abs(seconds) < LATEST:
+        raise ValueError("not a time")
+    return seconds
 
 
 def read_times(path: Path) -> dict[str, float]:
@@ -86,7 +101,7 @@ def read_times(path: Path) -> dict[str, float]:
     times: dict[str, float] = {}
     for number, row in enumerate(read_rows(path), 1):
         try:
-            times[row[0].strip()] = float(row[1])
+            times[row[0].strip()] = seconds_of(row[1])
         except (IndexError, ValueError) as error:
             if number > 1:
                 raise InputError(f"{path}: line {number} is not 'name,seconds'; correct it") from error
@@ -112,12 +127,15 @@ def read_truth(path: Path, joints: tuple[str, ...]) -> dict[str, list[float]]:
 def read_rows(path: Path) -> list[list[str]]:
     """Rows of a CSV file. Raises InputError."""
     try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            return list(csv.reader(file))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        text = read_text(existing(path, "a CSV file")).removeprefix("\ufeff")
+        return list(csv.reader(io.StringIO(text, newline="")))
+    except csv.Error as error:
         raise InputError(f"{path}: not readable as CSV; give a text file with commas") from error
 
 
 def _in_counting_order(path: Path) -> list[tuple[int, str]]:
     """Frame 2 comes before frame 10, zeros in front or not."""
-    return [(int(word), "") if word.isdigit() else (-1, word) for word in re.split(r"(\d+)", path.name)]
+    return [
+        (int(word), "") if word.isdecimal() and len(word) < 1000 else (-1, word)
+        for word in re.split(r"(\d+)", path.name)
+    ]

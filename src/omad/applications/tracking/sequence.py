@@ -3,10 +3,10 @@ tells how long the object was followed, and where truth is known how well."""
 
 import csv
 import json
-import os
 import sys
 import time
 from collections.abc import Iterable, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TextIO
@@ -14,8 +14,8 @@ from typing import Any, TextIO
 import numpy as np
 
 from omad.common.batches import progress
-from omad.common.errors import InputError, NothingSeen
-from omad.common.files import one_line, write_atomic, write_json
+from omad.common.errors import InputError, NothingSeen, WorkError
+from omad.common.files import one_line, publish, unfinished, write_atomic, write_json, writing
 from omad.objects.category import Category
 from omad.output.picture import save
 from omad.sensing.input_options import InputOptions
@@ -25,6 +25,8 @@ from omad.sensing.reader import InputReader
 from .frames import FrameFile
 from .pictures import Film, Truth, states_over_time
 from .tracker import TrackedEstimate, Tracker
+
+FRAMES = "frames.jsonl"
 
 
 @dataclass
@@ -45,6 +47,8 @@ class TrackedSequence:
     reader: InputReader | None = None
     size: str = ""
     lines: TextIO | None = None
+    ending: ExitStack = field(default_factory=ExitStack)
+    """Takes away what is unfinished."""
 
     def follow(self, frames: Iterable[FrameFile]) -> None:
         """Track frame by frame. A line is written as soon as its frame is done. A frame that cannot be used is named
@@ -54,8 +58,10 @@ class TrackedSequence:
             try:
                 observation = self._read(frame.path)
                 tracked = self.tracker(observation, frame.time)
-            except InputError as error:
-                self._refuse(frame, error)
+            except WorkError:
+                raise
+            except (InputError, ArithmeticError, ValueError, RuntimeError, TypeError) as error:
+                self._refuse(frame, error)  # whatever one frame holds, the others go on
                 continue
             self.seconds.append(time.perf_counter() - began)
             self.files.append(frame)
@@ -80,7 +86,7 @@ class TrackedSequence:
                 raise InputError(f"{path}: is {size}, earlier frames are {self.size}; {cure}")
         return observation
 
-    def _refuse(self, frame: FrameFile, error: InputError) -> None:
+    def _refuse(self, frame: FrameFile, error: Exception) -> None:
         reason = one_line(error)
         if str(frame.path) not in reason:
             reason = f"{frame.path}: {reason}"
@@ -93,18 +99,20 @@ class TrackedSequence:
     def _write(self, answer: dict[str, Any]) -> None:
         text = json.dumps(answer)
         if self.lines is None:
-            path = self.output / f".frames-{os.getpid()}.jsonl"  # until all lines are there
-            write_atomic(path, lambda temporary: None)
-            self.lines = path.open("w", encoding="utf-8")
-        self.lines.write(text + "\n")
+            with writing(self.output / FRAMES):  # under another name until all lines are there
+                temporary = self.ending.enter_context(unfinished(self.output / FRAMES))
+                self.lines = temporary.open("w", encoding="utf-8")
+        with writing(self.output / FRAMES):
+            self.lines.write(text + "\n")
         if self.stream:
             print(text, flush=True)
 
     def close(self) -> None:
         """End the file of lines, whole or not."""
         if self.lines is not None:
-            self.lines.close()
-            Path(self.lines.name).replace(self.output / "frames.jsonl")
+            with writing(self.output / FRAMES), self.ending:
+                self.lines.close()
+                publish(Path(self.lines.name), self.output / FRAMES)
 
     def finish(self, truth: dict[str, list[float]] | None) -> dict[str, Any]:
         """Write table, plot, film and summary; returns the summary."""

@@ -31,6 +31,10 @@ from .shape_belief import ShapeBelief, ShapeConfig
 Status = Literal["lost", "tracking", "coasting"]
 
 
+LATEST = 1e11
+"""Seconds."""
+
+
 @dataclass(frozen=True)
 class TrackerConfig:
     """When frames are believed, and how they are smoothed."""
@@ -78,7 +82,7 @@ class TrackedEstimate:
     def to_dict(self) -> dict[str, Any]:
         """Plain Python values: the ``estimate`` of ``Estimate.to_dict`` (null while lost) and each frame's own."""
         found = self.estimate.to_dict() if self.estimate else {}
-        kept = ("joints", "T_camera_base", "beta", "keypoints", "residual", "warnings")
+        kept = ("joints", "T_camera_base", "beta", "keypoints", "residual", "probability", "warnings")
         own = {name: getattr(self, name) for name in ("time", "status", "restarted", "surprise")}
         single = self.single.joint_states.tolist() if self.single else None
         return own | {key: found.get(key) for key in kept} | {"single_joint_states": single}
@@ -122,6 +126,8 @@ class Tracker:
     def __call__(self, observation: Observation | None, time: float) -> TrackedEstimate:
         """The next frame at ``time`` in seconds; None where it shows nothing. Raises InputError for a time that does
         not come after the last one."""
+        if not isinstance(time, int | float) or not abs(time) < LATEST:
+            raise InputError(f"time {time!r}: must be seconds")
         if not time > self._time:
             raise InputError(f"time {time} s: must come after the last frame's, {self._time} s; sort the frames")
         self._time = time

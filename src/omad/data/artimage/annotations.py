@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from omad.common.errors import InputError
-from omad.common.files import read_json
+from omad.common.incoming import read_json
 
 from .layout import AGAIN, Layout
 

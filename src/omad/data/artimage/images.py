@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from omad.common.errors import InputError
-from omad.common.files import read_json
+from omad.common.incoming import read_json
 from omad.geometry.camera import Camera
 from omad.objects.category import Category
 from omad.sensing.camera_files import read_intrinsics
@@ -76,7 +76,7 @@ class ArtImage:
 
     def _stored(self, path: Path, channels: tuple[int, int, int]) -> np.ndarray:
         """(H, W) integers of an image: its only channel, or red, green and blue times ``channels``."""
-        stored = read_image(path, "RGB").astype(np.int64)
+        stored = read_image(path, path, "RGB").astype(np.int64)
         if stored.shape[:2] != (self.camera.height, self.camera.width):
             raise InputError(f"{path}: {stored.shape} pixels do not fit the camera's; {AGAIN}")
         return stored if stored.ndim == 2 else stored[..., :3] @ channels

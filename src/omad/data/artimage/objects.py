@@ -15,7 +15,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from omad.common.errors import InputError
-from omad.common.files import read_json
+from omad.common.incoming import read_json
 from omad.geometry.rigid import box, carry, rigid, turned_about
 from omad.objects.category import Category
 from omad.objects.model import NEIGHBOURS, PointObject

@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 
 from omad.common.errors import InputError
-from omad.common.files import read_json, write_json, write_text
+from omad.common.files import write_json, write_text
+from omad.common.incoming import read_json
 from omad.geometry.camera import STANDARD_CAMERA, Camera
 from omad.geometry.joint_kinds import type_of
 from omad.objects.category import Category

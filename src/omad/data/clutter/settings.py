@@ -57,6 +57,8 @@ class Clutter:
     """Where these look from."""
     span: Range = (0.2, 0.95)
     """Share of the image height that the object's bounding sphere then covers."""
+    shut: float = 0.1
+    """Share of all views with all joints at a limit: two in three of them where they are at rest, or nearer to it."""
     resized: float = 0.3
     """Share of all views with an object of another size."""
     size: Range = (0.7, 1.4)

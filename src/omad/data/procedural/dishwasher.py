@@ -1,4 +1,5 @@
-"""Random dishwashers: built-in, free-standing and table-top, hollow or solid, with all kinds of doors and handles."""
+"""Random dishwashers: built-in, free-standing and table-top, hollow or solid, with all kinds of doors and handles; some
+with a door that is much lower than the body."""
 
 from itertools import pairwise
 
@@ -10,7 +11,7 @@ from omad.objects.category import Category
 from .shapes import JointedParts, box, column, cylinder, frame, points, posts, sides, slab, tube
 
 
-def generate(rng: np.random.Generator, category: Category) -> JointedParts:
+def generate(rng: np.random.Generator, category: Category, unusual: np.random.Generator | None) -> JointedParts:
     """One dishwasher, door closed. Body on y = 0 .. height, its front plane at z = 0, the room at +z."""
     compact = rng.random() < 0.12
     width = rng.uniform(0.42, 0.7)
@@ -21,6 +22,8 @@ def generate(rng: np.random.Generator, category: Category) -> JointedParts:
     kick = height * rng.uniform(0.04, 0.18) if rng.random() < 0.65 else height * rng.uniform(0.0, 0.03)
     strip = height * rng.uniform(0.08, 0.2) if rng.random() < 0.4 else height * rng.uniform(0.0, 0.05)
     door_low, door_high = kick, height - strip
+    if unusual:
+        door_low, door_high = _lowered(unusual, door_low, door_high)
     inset = rng.random() < 0.3  # door between the walls, else in front of them
     margin = wall * rng.uniform(0.3, 1.0) if inset else width * rng.choice([0.0, rng.uniform(0.0, 0.03)])
     door_half = width / 2 - margin
@@ -31,6 +34,8 @@ def generate(rng: np.random.Generator, category: Category) -> JointedParts:
     body = _cabinet(rng, width, height, depth, wall, recess, door_low, door_high)
     body += _front_strips(rng, width, height, door_low, door_high, front)
     body += _top_and_feet(rng, width, height, depth, front)
+    if unusual:
+        body += _fixed_fronts(unusual, width / 2, ((kick, door_low), (door_high, height - strip)), front)
     hollow = rng.random() < 0.12
     door = _door(rng, door_half, door_low, door_high, back, front, hollow)
     if rng.random() < 0.7:
@@ -43,6 +48,28 @@ def generate(rng: np.random.Generator, category: Category) -> JointedParts:
     pivot_y = door_low + rng.choice([0.0, rng.uniform(-0.01, 0.045)])
     pivot_z = back + rng.uniform(0.0, 0.6) * thickness
     return JointedParts((merge_meshes(body), merge_meshes(door)), np.array([[0.0, pivot_y, pivot_z]]))
+
+
+def _lowered(rng, low: float, high: float) -> tuple[float, float]:
+    """Lower and upper edge of a door that fills only a part of ``low`` .. ``high``, at its top, bottom or between."""
+    tall = (high - low) * rng.uniform(0.4, 0.75)
+    low += (high - low - tall) * rng.choice([0.0, 1.0, rng.uniform()])
+    return low, low + tall
+
+
+def _fixed_fronts(rng, half: float, spans: tuple[tuple[float, float], ...], front: float) -> list[Mesh]:
+    """What looks like a drawer's front above or below a low door, each between ``spans`` of y, with or without handle;
+    or the body's bare front."""
+    solids = []
+    for low, high in spans:
+        if high - low < 0.06 or rng.random() < 0.3:
+            continue
+        face = max(front * rng.uniform(0.5, 1.1), 0.004)
+        margin = half * rng.uniform(0.0, 0.06)
+        solids.append(slab((margin - half, low + 0.004, -0.01), (half - margin, high - 0.004, face), 2, 0.004))
+        if rng.random() < 0.6:
+            solids += _handle(rng, half - margin, low + 0.01, high - 0.01, face)
+    return solids
 
 
 def _cabinet(rng, width, height, depth, wall, recess, door_low, door_high) -> list[Mesh]:

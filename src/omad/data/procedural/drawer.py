@@ -10,7 +10,7 @@ from omad.objects.category import Category
 from .shapes import JointedParts, box, cylinder, posts, sides, slab
 
 
-def generate(rng: np.random.Generator, category: Category) -> JointedParts:
+def generate(rng: np.random.Generator, category: Category, unusual: np.random.Generator | None) -> JointedParts:
     """One chest, all drawers closed. Body on y = 0 .. height, its front plane at z = 0, the room at +z."""
     width = rng.uniform(0.28, 0.85)
     height = rng.uniform(0.3, 0.9)
@@ -25,7 +25,7 @@ def generate(rng: np.random.Generator, category: Category) -> JointedParts:
     shares = rng.uniform(0.6, 1.4, 3) if rng.random() < 0.6 else np.ones(3)
     edges = high - (high - low) * np.concatenate([[0.0], np.cumsum(shares / shares.sum())])
     cabinet = _cabinet(rng, width, height, depth, wall, base, edges)
-    pull = _Pull(rng)
+    pull = _Pull(rng, unusual)
     fill = rng.uniform(0.4, 0.9) if rng.random() < 0.2 else 1.0  # trays leave their bays open above
     drawers = []
     for top, bottom in pairwise(edges):
@@ -96,12 +96,16 @@ def _open_box(rng, half, bottom, top, depth, wall, back_of_face) -> list[Mesh]:
 class _Pull:
     """The kind of handle, the same on all drawers of a chest."""
 
-    def __init__(self, rng: np.random.Generator) -> None:
+    def __init__(self, rng: np.random.Generator, unusual: np.random.Generator | None) -> None:
         self.kind = rng.random()
         self.pair = rng.random() < 0.35
         self.size, self.reach = rng.uniform(0.008, 0.02), rng.uniform(0.015, 0.05)
         self.span, self.height = rng.uniform(0.1, 0.45), rng.uniform(0.3, 0.85)
         self.bevel = rng.uniform(0.0, 0.004)
+        if unusual:  # a bar, or a ledge, across nearly all of the face
+            self.kind, self.pair = unusual.uniform(0.4, 0.9), False
+            self.span, self.reach = unusual.uniform(0.5, 0.97), unusual.uniform(0.02, 0.08)
+            self.size *= unusual.uniform(1.0, 2.0)
 
     def solids(self, half: float, low: float, high: float, front: float) -> list[Mesh]:
         """Handles on a face that spans x = -half .. half, y = low .. high at z = front."""

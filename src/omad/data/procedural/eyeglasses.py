@@ -1,4 +1,5 @@
-"""Random eyeglasses: full, half and no rims, shields, round to rectangular to cat-eye, flat to wrap-around."""
+"""Random eyeglasses: full, half and no rims, shields, round to rectangular to cat-eye, flat to wrap-around; some with
+fronts that are much tilted against the temples."""
 
 from collections.abc import Callable
 
@@ -42,15 +43,16 @@ class _Front:
         self.hinge_y = self.height * rng.uniform(-0.1, 0.95)
 
 
-def generate(rng: np.random.Generator, category: Category) -> JointedParts:
+def generate(rng: np.random.Generator, category: Category, unusual: np.random.Generator | None) -> JointedParts:
     """One pair, unfolded. The nose is at the origin, the viewer's side at +z."""
     half = rng.uniform(0.058, 0.08)
     front = _Front(rng, half)
     flat = _front_solids(rng, front)
-    shaped = _bend(rng, half)
+    tilted = _Tilted(unusual)
+    shaped = _bend(rng, half, tilted.front)
     corner, start = shaped(np.array([[half, front.hinge_y, 0.0], [front.outer - 0.004, front.hinge_y, 0.0]]))
     hinge = corner + [0.0, 0.0, -rng.uniform(0.002, 0.016)]
-    temple, thick = _temple(rng, hinge, half)
+    temple, thick = _temple(rng, hinge, half, tilted.temples)
     solids = [solid.warped(shaped) for solid in flat]
     solids.append(_end_piece(rng, start, corner, hinge, thick))
     if rng.random() < 0.6:
@@ -58,17 +60,37 @@ def generate(rng: np.random.Generator, category: Category) -> JointedParts:
 
     frame = merge_meshes([*solids, *(solid.mirrored() for solid in solids)])
     lean = rng.normal(0.0, 0.02, 2) * (rng.random() < 0.5)
-    axis = np.array([lean[0], 1.0, lean[1]]) / np.linalg.norm([lean[0], 1.0, lean[1]])
+    axis = np.array([lean[0], 1.0, lean[1] + tilted.axis])
+    axis /= np.linalg.norm(axis)
     pivot = hinge + [rng.uniform(-0.6, 0.6) * thick, 0.0, 0.0]
     axes, pivots = np.stack([axis, axis * MIRROR_X]), np.stack([pivot, pivot * MIRROR_X])
     return JointedParts((frame, temple, temple.mirrored()), pivots, axes)
 
 
-def _bend(rng: np.random.Generator, half: float) -> Callable[[np.ndarray], np.ndarray]:
-    """Wrap the pattern (N, 3), x, y and depth, around a vertical cylinder, and lean it."""
+class _Tilted:
+    """How much front, hinges and temples of an unusual pair lean against each other beyond what is usual: seen from
+    the side, lenses lean to the cheeks, and hinges with them, more or less; or the temples rise or fall."""
+
+    front = temples = axis = 0.0
+
+    def __init__(self, rng: np.random.Generator | None) -> None:
+        if rng is None:
+            return
+        tilt = rng.choice([rng.uniform(0.05, 0.3), rng.uniform(-0.15, 0.0)])
+        by_front = rng.random() < 0.5
+        self.front = tilt * by_front
+        """Depth per height."""
+        self.temples = tilt * (not by_front)
+        """Rise per length."""
+        self.axis = tilt * rng.uniform(0.0, 1.1)
+        """As the front's: of hinges that go with the front, or stand across the temples."""
+
+
+def _bend(rng: np.random.Generator, half: float, lean: float) -> Callable[[np.ndarray], np.ndarray]:
+    """Wrap the pattern (N, 3), x, y and depth, around a vertical cylinder, and lean it by ``lean`` more than usual."""
     # most fronts are nearly flat, sports glasses go half round the head
     strength = rng.uniform(0.0, 0.35) if rng.random() < 0.6 else rng.uniform(0.3, 1.1)
-    radius, tilt = half / max(strength, 1e-3), rng.uniform(-0.02, 0.15)
+    radius, tilt = half / max(strength, 1e-3), lean + rng.uniform(-0.02, 0.15)
 
     def bend(pattern: np.ndarray) -> np.ndarray:
         x, y, depth = pattern.T
@@ -158,13 +180,14 @@ def _nose_pads(rng: np.random.Generator, place: np.ndarray) -> list[Mesh]:
     return [pad, arm] if rng.random() < 0.7 else [pad]
 
 
-def _temple(rng: np.random.Generator, hinge: np.ndarray, half: float) -> tuple[Mesh, float]:
-    """The temple at +x, straight back with a bent tip, and its thickness at the hinge."""
+def _temple(rng: np.random.Generator, hinge: np.ndarray, half: float, rise: float) -> tuple[Mesh, float]:
+    """The temple at +x, straight back with a bent tip, rising by ``rise`` more than usual, and its thickness at the
+    hinge."""
     length = half * rng.uniform(1.15, 2.35)
     thick = rng.uniform(0.0012, 0.002) if rng.random() < 0.4 else rng.uniform(0.002, 0.005)
     tip = rng.uniform(0.18, 0.38) * length
     droop = np.radians(rng.uniform(0.0, 60.0)) * (rng.random() < 0.85)
-    bow, splay, slope = rng.normal(0.0, 0.004), rng.normal(-0.02, 0.05), rng.normal(-0.02, 0.04)
+    bow, splay, slope = rng.normal(0.0, 0.004), rng.normal(-0.02, 0.05), rise + rng.normal(-0.02, 0.04)
     s = np.linspace(0.0, 1.0, 24)
     bent = droop * np.clip((s * length - (length - tip)) / tip, 0, 1) ** rng.uniform(0.5, 1.5)
     step = length / 23

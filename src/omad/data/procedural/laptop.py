@@ -11,7 +11,7 @@ from omad.objects.category import Category
 from .shapes import JointedParts, box, cylinder, frame, points, slab
 
 
-def generate(rng: np.random.Generator, category: Category) -> JointedParts:
+def generate(rng: np.random.Generator, category: Category, unusual: np.random.Generator | None) -> JointedParts:
     """One laptop, screen upright. Base on y = 0 .. top, hinge near z = 0, front towards +z."""
     unit = category.metres_per_unit
     width = unit * float(np.clip(rng.normal(1.25, 0.14), 0.9, 1.65))

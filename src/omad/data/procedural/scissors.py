@@ -1,4 +1,5 @@
-"""Random scissors: office, kitchen, nail and embroidery; even and uneven loops, hooks and straight handles."""
+"""Random scissors: office, kitchen, nail and embroidery; even and uneven loops, hooks and straight handles; and crude
+ones of bars and rings."""
 
 from copy import copy
 from typing import Self
@@ -8,7 +9,19 @@ import numpy as np
 from omad.geometry.mesh import Mesh, merge_meshes
 from omad.objects.category import Category
 
-from .shapes import JointedParts, Y, cylinder, loft, points, rounded_rectangle, spline, squared, sweep, taper
+from .shapes import (
+    JointedParts,
+    Y,
+    cylinder,
+    ellipse,
+    loft,
+    points,
+    rounded_rectangle,
+    spline,
+    squared,
+    sweep,
+    taper,
+)
 
 
 class _Blade:
@@ -69,8 +82,10 @@ class _Blade:
         return other
 
 
-def generate(rng: np.random.Generator, category: Category) -> JointedParts:
+def generate(rng: np.random.Generator, category: Category, unusual: np.random.Generator | None) -> JointedParts:
     """One pair, closed, the pivot at the origin."""
+    if unusual:
+        return _sized(unusual, *_of_bars(unusual))
     first = _Blade(rng)
     second = first.partner(rng)
     if rng.random() < 0.5:
@@ -82,9 +97,46 @@ def generate(rng: np.random.Generator, category: Category) -> JointedParts:
     reach = abs(level) + 0.5 * max(first.thickness, second.thickness) + rng.uniform(0.0002, 0.0025)
     if rng.random() < 0.85:
         (base if rng.random() < 0.5 else child).append(cylinder((0, -reach, 0), (0, reach, 0), radius, 14))
+    return _sized(rng, base, child)
+
+
+def _sized(rng: np.random.Generator, base: list[Mesh], child: list[Mesh]) -> JointedParts:
+    """Both halves at a random real size."""
     parts = merge_meshes(base), merge_meshes(child)
     scale = rng.uniform(0.135, 0.25) / np.ptp(np.concatenate([part.vertices[:, 2] for part in parts]))
     return JointedParts(tuple(part.warped(lambda v: scale * v) for part in parts), np.zeros((1, 3)))
+
+
+def _of_bars(rng: np.random.Generator) -> tuple[list[Mesh], list[Mesh]]:
+    """Each half a bar, straight or bent at the pivot, that ends in a ring."""
+    length, shank = rng.uniform(0.05, 0.12), rng.uniform(0.02, 0.07)
+    width, thickness = rng.uniform(0.004, 0.014), rng.uniform(0.0015, 0.006)
+    point, bend, turned = rng.uniform(0.15, 1.0), rng.uniform(0.0, 0.9), rng.choice([1, -1])
+    round_bar, bar = rng.random() < 0.5, rng.uniform(0.002, 0.007)
+    radius = rng.uniform(0.01, 0.024)
+    halves = []
+    for level in (-turned, turned):
+        if rng.random() < 0.3:
+            radius *= rng.uniform(0.75, 1.3)
+        y = 0.5 * level * thickness
+        outer = radius + 0.5 * bar + rng.uniform(0.0, 0.004)
+        grip = np.array([-bend * outer, y, -shank])
+        path = np.array([grip, 0.3 * grip, [0.0, y, 0.0], [0.0, y, 0.6 * length], [0.0, y, length]])
+        path[:, 1] = y
+        wide = width * np.array([1.0, 1.0, 1.0, 0.5 + 0.5 * point, point])
+        blade = sweep(path, Y, taper(rounded_rectangle(1.0, 1.0, 0.05, 1), wide, thickness))
+        beside = np.arcsin(min((outer + grip[0]) / radius, 1.0))
+        centre = grip - radius * np.array([np.sin(beside), 0.0, np.cos(beside)])
+        t = np.linspace(0.0, 2 * np.pi, 28, endpoint=False)
+        loop = centre + radius * points(np.cos(t), 0.0, rng.uniform(1.0, 1.5) * np.sin(t))
+        section = (
+            ellipse(0.5 * bar, 0.5 * bar, 8) if round_bar else rounded_rectangle(bar, max(thickness, 0.003), 0.0, 1)
+        )
+        halves.append([blade, sweep(loop, Y, section, closed=True)])
+    base, child = halves[0], [solid.mirrored() for solid in halves[1]]
+    if rng.random() < 0.7:
+        base.append(cylinder((0, -thickness - 0.001, 0), (0, thickness + 0.001, 0), 0.3 * width, 12))
+    return base, child
 
 
 def _half(rng: np.random.Generator, blade: _Blade, level: float) -> list[Mesh]:

@@ -16,25 +16,27 @@ With clutter the views are of scenes as cameras see them (``spoils``); what is w
 Every file depends on the arguments alone: not on the number of processes, nor on interruptions.
 """
 
-import multiprocessing
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, fields
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import torch
 from PIL import Image
 from tqdm import tqdm
 
+from omad.common.decode import Shape, Within
 from omad.common.errors import InputError
-from omad.common.files import read_json, write_atomic, write_json
+from omad.common.files import write_atomic, write_json
+from omad.common.incoming import decoded, read_image, read_json, read_record
+from omad.common.limits import limits
+from omad.common.workers import helpers
 from omad.geometry.camera import STANDARD_CAMERA, Camera
 from omad.objects.category import Category
 from omad.objects.model import ObjectModel
-from omad.sensing.depth_files import read_depth, read_image
+from omad.sensing.depth_files import read_depth
 
 from .depth_noise import NoiseLevel
 from .spoils.spoiling import cluttered
@@ -43,6 +45,67 @@ from .standard_views import ObjectTruth, View, ViewSeed, standard_view, view_see
 FORMAT = "omad-views-1"
 REACH = 11.0
 """No standard view of an object is farther than this, in category units."""
+
+
+CURE = "give a folder made by omad render"
+_PerJoint = Annotated[np.ndarray, Shape(None, 3)]
+
+
+@dataclass(frozen=True)
+class _Dataset:
+    """dataset.json."""
+
+    format: str
+    category: str
+    camera: Camera
+    depth_scale: Annotated[float, Within(1e-9, 1e3)]
+    seed: int
+    noise: NoiseLevel | None
+    objects: tuple[str, ...]
+    views: Annotated[int, Within(0, 10_000_000)]
+    finished: bool
+    clutter: bool = False
+
+    def __post_init__(self) -> None:
+        _check_camera(self.camera)
+        if not self.objects:
+            raise ValueError("objects: is empty; give at least one")
+
+
+@dataclass(frozen=True)
+class _ObjectRecord:
+    """object.json."""
+
+    name: str
+    axes: _PerJoint
+    pivots: _PerJoint
+    limits: Annotated[np.ndarray, Shape(None, 2)]
+    part_boxes: Annotated[np.ndarray, Shape(None, 2, 3)]
+
+
+@dataclass(frozen=True)
+class _ViewRecord:
+    """The JSON of one view."""
+
+    states: Annotated[np.ndarray, Shape(None)]
+    T_camera_base: Annotated[np.ndarray, Shape(4, 4)]
+    seed: tuple[int, ...]
+    camera: Camera | None = None
+
+    def __post_init__(self) -> None:
+        if self.camera is not None:
+            _check_camera(self.camera)
+        if not np.allclose(self.T_camera_base[:3, :3] @ self.T_camera_base[:3, :3].T, np.eye(3), atol=1e-3):
+            raise ValueError("T_camera_base: its 3x3 part is no rotation; give that of the base before the camera")
+
+
+def _check_camera(camera: Camera) -> None:
+    """Raises ValueError for a camera that takes no images."""
+    for name in ("width", "height"):
+        if not 1 <= getattr(camera, name) <= limits().image_side:
+            raise ValueError(f"camera.{name}: is {getattr(camera, name)}; give pixels")
+    if not (min(camera.fx, camera.fy) > 0 and max(map(abs, (camera.fx, camera.fy, camera.cx, camera.cy))) < 1e7):
+        raise ValueError("camera: fx, fy, cx or cy is none of a camera; give pixels")
 
 
 @dataclass(frozen=True)
@@ -71,17 +134,18 @@ class ViewFolder:
 
     def _read(self, truth: ObjectTruth, number: int) -> View:
         stem = self.path / truth.name / f"{number:05d}"
-        record = _read_json(stem.with_suffix(".json"), "states", "T_camera_base", "seed")
+        record = read_record(_ViewRecord, stem.with_suffix(".json"), CURE)
         depth = read_depth(stem.with_suffix(".depth.png"), self.depth_scale)
-        labels = read_image(stem.with_suffix(".labels.png"))
-        camera = Camera(**record["camera"]) if "camera" in record else self.camera
+        labels = read_image(file := stem.with_suffix(".labels.png"), file)
+        camera = self.camera if record.camera is None else record.camera
         mask_file = stem.with_suffix(".mask.png")
-        mask = read_image(mask_file) > 0 if mask_file.exists() else None
+        mask = read_image(mask_file, mask_file) > 0 if mask_file.exists() else None
         images = [depth, labels] if mask is None else [depth, labels, mask]
         if any(image.shape != (camera.height, camera.width) for image in images):
             raise InputError(f"{stem}: image sizes do not fit the camera; delete {stem}.json and render again")
-        states, pose = np.array(record["states"]), np.array(record["T_camera_base"])
-        return View(truth, depth, labels, camera, states, pose, tuple(record["seed"]), mask)
+        if len(record.states) != len(truth.axes):
+            raise InputError(f"{stem}.json: states: {len(record.states)} for {len(truth.axes)} joints; {CURE}")
+        return View(truth, depth, labels, camera, record.states, record.T_camera_base, record.seed, mask)
 
 
 def is_view_folder(folder: str | Path) -> bool:
@@ -92,16 +156,18 @@ def is_view_folder(folder: str | Path) -> bool:
 def open_views(folder: str | Path) -> ViewFolder:
     """A folder that ``render_to_folder`` made. Raises InputError where it is none, or is not finished."""
     path = Path(folder)
-    kept = [field.name for field in fields(ViewFolder) if field.name not in ("path", "clutter")]
-    record = _read_json(path / "dataset.json", "format", *kept, "finished")
-    if record["format"] != FORMAT:
-        raise InputError(f"{path}: format {record['format']!r} is not {FORMAT}; render it again")
-    if not record["finished"]:
+    values = read_json(path / "dataset.json", CURE)
+    found = values.get("format") if isinstance(values, dict) else None
+    if found != FORMAT:
+        raise InputError(f"{path / 'dataset.json'}: format {found!r} is not {FORMAT}; render it again")
+    record = decoded(_Dataset, values, path / "dataset.json", CURE)
+    if not record.finished:
         raise InputError(f"{path}: rendering was interrupted; give the same render command again to finish it")
-    noise = NoiseLevel(**record["noise"]) if record["noise"] else None
-    made = {"camera": Camera(**record["camera"]), "noise": noise, "objects": tuple(record["objects"])}
-    made["clutter"] = record.get("clutter", False)
-    return ViewFolder(path, **{key: record[key] for key in kept} | made)
+    for name in record.objects:
+        if Path(name).name != name or "\0" in name:
+            raise InputError(f"{path / 'dataset.json'}: objects: {name!r} is no folder's name; {CURE}")
+    made = {field.name: getattr(record, field.name) for field in fields(ViewFolder) if field.name != "path"}
+    return ViewFolder(path, **made)
 
 
 def render_to_folder(
@@ -228,8 +294,7 @@ def _run(draw: Callable[[ViewSeed], None], seeds: list[ViewSeed], processes: int
     if processes <= 1 or len(seeds) < 2:
         yield from map(draw, seeds)
         return
-    spawn = multiprocessing.get_context("spawn")  # fork would copy the locks of running threads
-    with ProcessPoolExecutor(processes, spawn, _start_worker, (draw,)) as pool:
+    with helpers(processes, _start_worker, draw) as pool:
         yield from pool.map(_work, seeds, chunksize=8)
 
 
@@ -254,16 +319,19 @@ def _truth_record(model: ObjectModel) -> dict[str, Any]:
 
 
 def _read_truth(folder: Path) -> ObjectTruth:
-    record = _read_json(folder / "object.json", "name", "axes", "pivots", "limits", "part_boxes")
-    name = record.pop("name")
-    return ObjectTruth(name, **{key: np.array(value) for key, value in record.items()})
+    file = folder / "object.json"
+    record = read_record(_ObjectRecord, file, CURE)
+    if not len(record.axes) == len(record.pivots) == len(record.limits) == len(record.part_boxes) - 1:
+        raise InputError(f"{file}: axes, pivots, limits and part_boxes are of different numbers of joints; {CURE}")
+    if record.name != folder.name:
+        raise InputError(f"{file}: name: is not the folder's; {CURE}")
+    return ObjectTruth(**vars(record))
 
 
-def _read_json(path: Path, *keys: str) -> dict[str, Any]:
-    cure = "give a folder made by omad render"
-    record = read_json(path, cure)
-    if not isinstance(record, dict) or not set(keys) <= record.keys():
-        raise InputError(f"{path}: lacks one of {', '.join(keys)}; {cure}")
+def _read_json(path: Path) -> dict[str, Any]:
+    record = read_json(path, CURE)
+    if not isinstance(record, dict):
+        raise InputError(f"{path}: holds no table; {CURE}")
     return record
 
 

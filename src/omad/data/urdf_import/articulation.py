@@ -1,27 +1,29 @@
 """URDF as other people write it, read as it is."""
 
-import re
+import io
 import xml.etree.ElementTree as ElementTree
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Any, Self
 
 import numpy as np
-import trimesh
 import yourdfpy
 
-from omad.common.errors import InputError
+from omad.common.errors import InputError, shown
+from omad.common.incoming import existing, read_bytes, readable
+from omad.common.limits import check_limit
 from omad.geometry.joint_kinds import JointType, Motion, motion_of, type_of
 from omad.geometry.mesh import Mesh, merge_meshes
 from omad.objects.category import Category
 from omad.objects.model import ObjectModel
 
-MissingMeshes = Literal["refuse", "skip"]
-"""What to do about mesh files that a URDF names and that are not there."""
+from .shapes import MeshFiles, MissingMeshes, link_mesh
 
-
+FARTHEST = 1e6
+"""Nothing in a URDF is farther away, in its own unit."""
+REPAIR = "repair the file or download it again"
 _JOINT_TYPES: dict[str, JointType] = {"revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic"}
 """URDF's own names."""
 
@@ -89,20 +91,32 @@ class RawArticulation:
 
 
 def read_articulation(
-    path: Path | str, metres_per_unit: float = 1.0, missing_meshes: MissingMeshes = "refuse"
+    path: Path | str,
+    metres_per_unit: float = 1.0,
+    missing_meshes: MissingMeshes = "refuse",
+    mesh_folder: Path | None = None,
 ) -> RawArticulation:
     """Read a URDF with its visual meshes (a link without any: its collision meshes).
 
     Continuous joints become hinges without limits; what is joined by fixed joints becomes one link;
     links without geometry at the root or at the tips are dropped. ``metres_per_unit`` scales all lengths.
+    Mesh files lie beside the URDF, in its ROS package, or in ``mesh_folder``: others are not opened.
     Raises InputError for a file that is missing, broken or no tree, a missing mesh, an unknown joint type.
     """
-    path = Path(path)
+    path = existing(path, "a URDF")
+    with readable(path, "a URDF", REPAIR):
+        return _articulation(path, metres_per_unit, MeshFiles(path, missing_meshes, mesh_folder))
+
+
+def _articulation(path: Path, metres_per_unit: float, files: MeshFiles) -> RawArticulation:
     robot = _parse(path)
     root, joints = _sorted_tree(path, robot)
     T_model = {root: np.eye(4)}
     for joint in joints:
         T_model[joint.child] = T_model[joint.parent] @ (np.eye(4) if joint.origin is None else joint.origin)
+    for name, T in T_model.items():
+        if not (np.abs(T) < FARTHEST).all():
+            raise InputError(f"{path}: link {name!r} has no proper origin; give finite numbers, not so large")
 
     coupled = _coupled(robot, joints, T_model)
     body_of, members, moving = {root: 0}, [[root]], []
@@ -117,7 +131,7 @@ def read_articulation(
 
     links, bodies = {link.name: link for link in robot.links}, []
     for names in members:
-        parts = {name: _link_mesh(path, links[name], T_model[name], missing_meshes) for name in names}
+        parts = {name: link_mesh(links[name], T_model[name], files) for name in names}
         solid = tuple(name for name in names if len(parts[name].faces))
         mesh = merge_meshes(parts.values()).warped(lambda vertices: vertices * metres_per_unit)
         bodies.append(RawLink((solid or names)[0], solid, mesh))
@@ -165,20 +179,21 @@ def as_model(raw: RawArticulation, category: Category) -> ObjectModel:
 
 
 def _parse(path: Path) -> Any:
-    if not path.is_file():
-        raise InputError(f"{path}: no such file; give a URDF")
+    content = read_bytes(path, "text_bytes")
+    if b"<!" in content.replace(b"<!--", b""):  # entities could name other files, or grow without end
+        raise InputError(f"{shown(path)}: declares entities (<!DOCTYPE ...), which no URDF needs; remove them")
     try:
         # yourdfpy would go on with the readable half of a broken file
-        root = ElementTree.parse(path).getroot()
+        root = ElementTree.fromstring(content)
     except ElementTree.ParseError as error:
-        raise InputError(f"{path}: broken XML ({error}); repair the file or download it again") from error
+        raise InputError(f"{shown(path)}: broken XML ({error}); {REPAIR}") from error
     if root.tag != "robot":
-        raise InputError(f"{path}: not a URDF: its root element is <{root.tag}>, expected <robot>")
-    try:
-        return yourdfpy.URDF.load(str(path), build_scene_graph=False, load_meshes=False).robot
-    except Exception as error:
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise InputError(f"{path}: cannot be read as a URDF ({reason}); repair the file") from error
+        raise InputError(f"{shown(path)}: not a URDF: its root element is not <robot>")
+    for kind in ("link", "joint"):
+        check_limit("links", len(root.findall(kind)), f"{shown(path)}: the number of {kind}s")
+    # as UTF-8, whatever encoding it was in
+    text = io.BytesIO(ElementTree.tostring(root, encoding="utf-8"))
+    return yourdfpy.URDF.load(text, build_scene_graph=False, load_meshes=False).robot
 
 
 def _sorted_tree(path: Path, robot: Any) -> tuple[str, list[Any]]:
@@ -188,6 +203,9 @@ def _sorted_tree(path: Path, robot: Any) -> tuple[str, list[Any]]:
         for name, count in Counter(names).items():
             if count > 1:
                 raise InputError(f"{path}: two {kind}s are called {name!r}; rename one")
+    for names in (links, [name for joint in robot.joints for name in (joint.name, joint.parent, joint.child)]):
+        if not all(isinstance(name, str) for name in names):
+            raise InputError(f"{path}: a link or a joint has no name; give it one")
     if not links:
         raise InputError(f"{path}: no links; give a URDF with at least one")
     for joint in robot.joints:
@@ -235,17 +253,19 @@ def _coupled(robot: Any, joints: list[Any], T_model: dict[str, np.ndarray]) -> d
 
 def _raw_joint(path: Path, joint: Any, slide: float, ends: tuple[int, int], T: np.ndarray, unit: float) -> RawJoint:
     """``T`` (4, 4) joint frame -> model; ``unit`` in metres; ``slide`` along the axis a radian, from another joint."""
+    if np.shape(joint.axis) != (3,):
+        raise InputError(f"{path}: the axis of joint {joint.name!r} is no direction; give three numbers")
     axis = T[:3, :3] @ joint.axis
     length = np.linalg.norm(axis)
     motion = motion_of(_JOINT_TYPES[joint.type])
     if slide:
         motion = Motion(motion.turn, slide).scaled(unit)
-    if not np.isfinite(T).all() or not np.isfinite(length) or length == 0:
+    if not 0 < length < np.inf or abs(slide) > FARTHEST:
         raise InputError(f"{path}: joint {joint.name!r} has no proper origin and axis; give finite numbers")
     limits = None
     if joint.type != "continuous" and joint.limit is not None and None not in (joint.limit.lower, joint.limit.upper):
         low, high = sorted(limit * motion.state_unit(unit) for limit in (joint.limit.lower, joint.limit.upper))
-        if not np.isfinite([low, high]).all():
+        if not max(-low, high) <= FARTHEST * unit:  # not for NaN either
             raise InputError(f"{path}: the limits of joint {joint.name!r} are not finite; use a continuous joint")
         limits = low, high
     return RawJoint(joint.name, motion, *ends, axis / length, T[:3, 3] * unit, limits)
@@ -264,75 +284,3 @@ def _without_empty_ends(path: Path, raw: RawArticulation) -> RawArticulation:
         links.remove(empty[0])
         joints = [joint for joint in joints if empty[0] not in (joint.parent, joint.child)]
     return raw.with_links(links, joints)
-
-
-def _link_mesh(path: Path, link: Any, T_model_link: np.ndarray, missing: MissingMeshes) -> Mesh:
-    """All shapes of a link in the model frame, in the file's units."""
-    meshes = []
-    for element in link.visuals or link.collisions:
-        mesh = _shape(path, link.name, element.geometry, missing)
-        if mesh is not None:
-            meshes.append(mesh.carried(T_model_link if element.origin is None else T_model_link @ element.origin))
-    return merge_meshes(meshes)
-
-
-def _shape(path: Path, link: str, geometry: Any, missing: MissingMeshes) -> Mesh | None:
-    make = trimesh.creation
-    if (box := geometry.box) is not None:
-        return _as_mesh(make.box(extents=box.size))
-    if (bar := geometry.cylinder) is not None:
-        return _as_mesh(make.cylinder(radius=bar.radius, height=bar.length))
-    if (ball := geometry.sphere) is not None:
-        return _as_mesh(make.icosphere(subdivisions=3, radius=ball.radius))
-    name, scale = geometry.mesh.filename, geometry.mesh.scale
-    file = _find(path, name or "")
-    if file is None:
-        if missing == "skip":
-            return None
-        cure = "restore it, or read with missing_meshes='skip'"
-        raise InputError(f"{path}: mesh {name!r} of link {link!r} is missing; {cure}")
-    mesh, scale = _load_mesh(file), np.ones(3) if scale is None else np.asarray(scale, np.float64)
-    faces = mesh.faces[:, ::-1] if np.prod(np.broadcast_to(scale, 3)) < 0 else mesh.faces
-    return Mesh(mesh.vertices * scale, faces)
-
-
-def _as_mesh(solid: Any) -> Mesh:
-    return Mesh(np.asarray(solid.vertices, np.float64), np.asarray(solid.faces, np.int64))
-
-
-def _find(path: Path, filename: str) -> Path | None:
-    """The file beside the URDF or in a folder above it, with or without its package's name."""
-    name = Path(re.sub(r"^(package|file)://", "", filename))
-    names = [name, Path(*name.parts[1:])] if filename.startswith("package://") else [name]
-    places = [place / name for place in path.resolve().parents for name in names]
-    return next((place for place in places if filename and place.is_file()), None)
-
-
-def _load_mesh(file: Path) -> Mesh:
-    try:
-        if file.suffix.lower() == ".obj":
-            mesh = _parse_obj(file.read_text(encoding="utf-8", errors="replace"))
-        else:
-            mesh = _as_mesh(trimesh.load(str(file), force="mesh", process=False))
-        mesh = Mesh(mesh.vertices.reshape(-1, 3), mesh.faces.reshape(-1, 3))
-        if mesh.faces.size and not 0 <= mesh.faces.min() <= mesh.faces.max() < len(mesh.vertices):
-            raise ValueError("a face names a vertex that is not there")
-    except Exception as error:
-        raise InputError(f"{file}: cannot be read as a mesh ({error}); export it again") from error
-    if not np.isfinite(mesh.vertices).all():
-        raise InputError(f"{file}: has vertices that are not finite; export it again")
-    return mesh
-
-
-def _parse_obj(text: str) -> Mesh:
-    """Positions and triangles alone, in the file's order: texture coordinates and normals would split vertices."""
-    vertices, faces = list[list[float]](), list[tuple[int, int, int]]()
-    for line in text.replace("\\\n", " ").splitlines():
-        kind, *fields = line.split() or [""]
-        if kind == "v":
-            vertices.append([float(field) for field in fields[:3]])
-        elif kind == "f":
-            corners = [int(field.split("/")[0]) for field in fields]
-            corners = [c - 1 if c > 0 else len(vertices) + c for c in corners]
-            faces += [(corners[0], b, c) for b, c in zip(corners[1:-1], corners[2:], strict=True)]
-    return Mesh(np.array(vertices, np.float64), np.array(faces, np.int64))

@@ -1,16 +1,19 @@
 """Object models from folders of URDFs: plain ones in metres, and PartNet-Mobility's normalised ones."""
 
+import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from omad.common.errors import InputError
+from omad.common.incoming import as_path, readable
 from omad.objects.category import Category
 from omad.objects.model import ObjectModel
 
 from . import partnet
 from .alignment import align
-from .articulation import MissingMeshes, read_articulation
+from .articulation import read_articulation
 from .links import label_parts
+from .shapes import MissingMeshes
 
 
 @dataclass(frozen=True)
@@ -31,7 +34,11 @@ class FolderImport:
 
 
 def load_folder(
-    folder: Path | str, category: Category, scale: float | None = None, missing_meshes: MissingMeshes = "refuse"
+    folder: Path | str,
+    category: Category,
+    scale: float | None = None,
+    missing_meshes: MissingMeshes = "refuse",
+    mesh_folder: Path | None = None,
 ) -> FolderImport:
     """Import every object of ``folder``: one itself, or ``.urdf`` files, or one sub-folder an object, by name.
     Arguments as in ``import_model``. Objects that do not fit are listed with the reason. Raises InputError where
@@ -39,33 +46,49 @@ def load_folder(
     models, refused = [], []
     for source in object_paths(folder):
         try:
-            models.append(import_model(source, category, scale, missing_meshes))
+            models.append(import_model(source, category, scale, missing_meshes, mesh_folder))
         except InputError as error:
             refused.append(Refusal(object_name(source), str(error)))
     return FolderImport(models, refused)
 
 
 def import_model(
-    path: Path | str, category: Category, scale: float | None = None, missing_meshes: MissingMeshes = "refuse"
+    path: Path | str,
+    category: Category,
+    scale: float | None = None,
+    missing_meshes: MissingMeshes = "refuse",
+    mesh_folder: Path | None = None,
 ) -> ObjectModel:
     """Bring one foreign model, a ``.urdf`` or the folder that holds it, to the category's canonical space. ``scale`` is
-    metres per unit of the file; left out, PartNet-Mobility folders have the category's and others 1. Raises InputError
-    with the file and the reason where the model is broken or does not fit the category."""
-    return import_with_notes(path, category, scale, missing_meshes)[0]
+    metres per unit of the file; left out, PartNet-Mobility folders have the category's and others 1. ``mesh_folder``:
+    where meshes may lie besides the model's own folder. Raises InputError with the file and the reason where the model
+    is broken or does not fit the category."""
+    return import_with_notes(path, category, scale, missing_meshes, mesh_folder)[0]
 
 
 def import_with_notes(
-    path: Path | str, category: Category, scale: float | None = None, missing_meshes: MissingMeshes = "refuse"
+    path: Path | str,
+    category: Category,
+    scale: float | None = None,
+    missing_meshes: MissingMeshes = "refuse",
+    mesh_folder: Path | None = None,
 ) -> tuple[ObjectModel, list[str]]:
     """``import_model``, and a line on everything that had to be put right about the model."""
-    path = Path(path)
+    path = as_path(path, "a URDF or its folder")
+    with readable(path, f"a model of a {category.name}", "leave it out, or repair it"):
+        return _imported(path, category, scale, missing_meshes, mesh_folder)
+
+
+def _imported(
+    path: Path, category: Category, scale: float | None, missing_meshes: MissingMeshes, mesh_folder: Path | None
+) -> tuple[ObjectModel, list[str]]:
     file = _urdf_of(path) if path.is_dir() else path
     normalised = partnet.is_partnet(file)
     if normalised:
         partnet.check_source_name(file.parent, category)
     if scale is None:
         scale = category.metres_per_unit if normalised else 1.0
-    raw = stated = read_articulation(file, scale, missing_meshes)
+    raw = stated = read_articulation(file, scale, missing_meshes, mesh_folder)
     if normalised:
         raw = partnet.with_stated_axes(partnet.with_names(stated, file.parent), file.parent, scale)
     moved = [joint.name for joint, before in zip(raw.joints, stated.joints, strict=True) if joint is not before]
@@ -80,8 +103,8 @@ def import_with_notes(
 def object_paths(folder: Path | str) -> list[Path]:
     """The ``.urdf`` files or sub-folders of ``folder``, one an object, by name; or ``folder`` itself, if it is one.
     Raises InputError where ``folder`` does not exist or holds no object at all."""
-    folder = Path(folder)
-    if not folder.exists():
+    folder = as_path(folder, "a folder of URDF models")
+    if not os.path.exists(folder):
         raise InputError(f"{folder}: no such folder; give a folder of URDF models")
     if folder.is_file() or (folder / partnet.URDF).is_file():
         return [folder]

@@ -6,26 +6,32 @@
 
 import hashlib
 import json
+import os
 import re
-import shutil
 import sys
 from collections import Counter
-from dataclasses import asdict, dataclass
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Self
 
 from tqdm import tqdm
 
 from omad.common.errors import InputError
-from omad.common.files import write_json
+from omad.common.files import make_folder, write_json
+from omad.common.incoming import read_record
+from omad.common.locks import only_one
 from omad.objects.category import Category
 from omad.objects.model import ObjectModel
-from omad.objects.urdf import write_urdf
+from omad.objects.urdf import mesh_files, write_urdf
 
-from .articulation import MissingMeshes, read_urdf
+from .articulation import read_urdf
 from .folder import Refusal, import_with_notes, object_name, object_paths
+from .shapes import MissingMeshes
 
 RECORD = "import.json"
+_NO_NAME = "\0\\:" if os.name == "nt" else "\0"
 
 
 @dataclass(frozen=True)
@@ -55,7 +61,12 @@ class ImportSummary:
 
 
 def import_folder(
-    source: Path, category: Category, output: Path, scale: float | None = None, missing_meshes: MissingMeshes = "refuse"
+    source: Path,
+    category: Category,
+    output: Path,
+    scale: float | None = None,
+    missing_meshes: MissingMeshes = "refuse",
+    mesh_folder: Path | None = None,
 ) -> ImportSummary:
     """Import every model of ``source`` into ``output``; what is there already, from unchanged files, stays. Raises
     InputError where ``source`` holds no models, and where ``output`` was made with other options."""
@@ -63,69 +74,133 @@ def import_folder(
     if output.resolve() in (source.resolve(), *source.resolve().parents):
         raise InputError(f"{output}: would be written into the models it comes from; choose another folder")
     options = {"source": str(source.resolve()), "category": asdict(category), "scale": scale}
-    record = _Record.open(output, json.loads(json.dumps({**options, "missing_meshes": missing_meshes})))
+    options = json.loads(json.dumps({**options, "missing_meshes": missing_meshes}))
+
+    def importing(path: Path) -> tuple[ObjectModel, list[str]]:
+        return import_with_notes(path, category, scale, missing_meshes, mesh_folder)
+
+    make_folder(output)
+    with only_one(output, "an import"):
+        return _import_all(paths, category, output, _Record.open(output, options), importing)
+
+
+def _import_all(
+    paths: list[Path],
+    category: Category,
+    output: Path,
+    record: "_Record",
+    importing: Callable[[Path], tuple[ObjectModel, list[str]]],
+) -> ImportSummary:
     for name in set(record.stamps) - {object_name(path) for path in paths}:
         record.drop(name)
     refused, notes, models = [], [], []
     for path in tqdm(paths, unit="model", file=sys.stderr, disable=not sys.stderr.isatty()):
-        name, file = object_name(path), output / object_name(path) / f"{object_name(path)}.urdf"
-        stamp = _stamp(path)
+        name = object_name(path)
+        file, stamp = output / name / f"{name}.urdf", _stamp(path)
         try:
+            _check_plain(name, f"{path}: an object's name")
             if record.stamps.get(name) != stamp or not file.is_file():
-                model, said = import_with_notes(path, category, scale, missing_meshes)
+                model, said = importing(path)
+                record.drop(name)
+                if file.parent.is_symlink():
+                    raise InputError(f"{file.parent}: leads out of the folder; remove it")
                 write_urdf(model, file)
-                record.add(name, stamp, said)
+                record.add(name, stamp, said, [file, *mesh_files(model, file)])
             models.append(read_urdf(file, category))
-            notes += [Refusal(name, note) for note in record.notes[name]]
+            notes += [Refusal(name, note) for note in record.notes.get(name, [])]
         except InputError as error:
             refused.append(Refusal(name, str(error)))
             record.drop(name)
     summary = ImportSummary(models, refused, notes)
-    if models or record.file.is_file():
+    if models or (output / RECORD).is_file():
         record.write(summary.to_dict())
     return summary
 
 
 @dataclass
 class _Record:
-    """``import.json``, kept after every model, so that an interrupted import goes on."""
+    """``import.json``, kept after every model, so that an interrupted import goes on. It may have come with a folder
+    from anywhere: what it says is checked, and no file goes but one that still is as it was written."""
 
-    file: Path
     options: dict[str, Any]
     stamps: dict[str, str]
+    """By name, what tells that a model's files changed."""
     notes: dict[str, list[str]]
+    written: dict[str, dict[str, str]] = field(default_factory=dict)
+    """By name, the digests of the files that were written for a model, by their paths in its folder."""
+    folder: Path = Path()
 
     @classmethod
     def open(cls, output: Path, options: dict[str, Any]) -> Self:
         """Raises InputError where ``output`` holds something else, or was made with other options."""
         file = output / RECORD
         if not file.is_file():
-            if output.exists() and any(output.iterdir() if output.is_dir() else [output]):
+            if any(output.iterdir()):
                 raise InputError(f"{output}: is not empty and not of omad import; choose another folder")
-            return cls(file, options, {}, {})
-        try:
-            found = json.loads(file.read_text())
-            record = cls(file, found["options"], found["stamps"], found["notes"])
-        except (OSError, ValueError, KeyError, TypeError) as error:
-            raise InputError(f"{file}: is broken; remove the folder, or choose another one") from error
+            return cls(options, {}, {}, folder=output)
+        found = read_record(_Kept, file, "remove the folder, or choose another one")
+        for name in {*found.stamps, *found.written}:
+            _check_plain(name, f"{file}: a model's name")
+            for path in found.written.get(name, {}):
+                _check_inside(path, f"{file}: {name!r}")
         for key, value in options.items():
-            if record.options.get(key) != value:
+            if found.options.get(key) != value:
                 raise InputError(f"{output}: was made with another {key}; choose another folder, or remove this one")
-        return record
+        notes = {name: list(said) for name, said in found.notes.items()}
+        return cls(options, found.stamps, notes, found.written, output)
 
-    def add(self, name: str, stamp: str, notes: list[str]) -> None:
+    def add(self, name: str, stamp: str, notes: list[str], files: list[Path]) -> None:
+        """A model was written into these ``files``."""
         self.stamps[name], self.notes[name] = stamp, notes
+        self.written[name] = {file.relative_to(self.folder / name).as_posix(): _digest(file) for file in files}
         self.write({})
 
     def drop(self, name: str) -> None:
-        """Forget a model that is no longer among the source's usable ones, and remove what an earlier run wrote."""
+        """Forget a model, and remove what an earlier run wrote of it, as far as nobody has changed it since."""
         self.stamps.pop(name, None)
         self.notes.pop(name, None)
-        shutil.rmtree(self.file.parent / name, ignore_errors=True)
+        made, folders = self.folder / name, set[Path]()
+        for path, digest in self.written.pop(name, {}).items():
+            file = made / path
+            outside = any(each.is_symlink() for each in (file, *file.parents) if each.is_relative_to(made))
+            if not outside and file.is_file() and _digest(file) == digest:
+                file.unlink()
+                folders |= {each for each in file.parents if each.is_relative_to(made)}
+        for folder in sorted(folders, reverse=True):  # the inner ones first
+            with suppress(OSError):  # of another's files in it
+                folder.rmdir()
 
     def write(self, summary: dict[str, Any]) -> None:
-        values = {"options": self.options, "stamps": self.stamps, "notes": self.notes, "summary": summary}
-        write_json(self.file, values, indent=1)
+        values = {"options": self.options, "stamps": self.stamps, "notes": self.notes, "written": self.written}
+        write_json(self.folder / RECORD, {**values, "summary": summary}, indent=1)
+
+
+@dataclass(frozen=True)
+class _Kept:
+    """What ``import.json`` holds."""
+
+    options: dict[str, Any]
+    stamps: dict[str, str]
+    notes: dict[str, tuple[str, ...]]
+    written: dict[str, dict[str, str]]
+
+
+def _check_inside(path: str, what: str) -> None:
+    """Raises InputError for a path that leads out of the folder it is said to be in."""
+    words = path.split("/")
+    if not all(words) or {".", ".."} & {*words} or {*path} & {*_NO_NAME}:
+        raise InputError(f"{what}: holds the path {path!r}, which is not inside; remove the folder, or choose another")
+
+
+def _check_plain(name: str, what: str) -> None:
+    """Raises InputError for a name that cannot be a folder's."""
+    _check_inside(name, what)
+    if "/" in name:
+        raise InputError(f"{what}: is {name!r}; rename it")
+
+
+def _digest(file: Path) -> str:
+    return hashlib.sha256(file.read_bytes()).hexdigest()
 
 
 def _stamp(path: Path) -> str:

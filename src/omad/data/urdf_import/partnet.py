@@ -1,13 +1,15 @@
 """What a PartNet-Mobility folder says beside its URDF: what its links and its category are called, where axes run."""
 
-import json
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from omad.common.decode import Shape
 from omad.common.errors import InputError
+from omad.common.incoming import read_json, read_text
 from omad.objects.category import Category
 
 from .articulation import RawArticulation, RawJoint
@@ -41,7 +43,7 @@ def with_names(raw: RawArticulation, folder: Path) -> RawArticulation:
     file = folder / NAMES
     if not file.is_file():
         return raw
-    lines = [line.split() for line in file.read_text(encoding="utf-8", errors="replace").splitlines()]
+    lines = [line.split() for line in read_text(file, errors="replace").splitlines()]
     names = {fields[0]: fields[-1] for fields in lines if len(fields) >= 3}
     added = [(link, tuple(names[name] for name in link.names if name in names)) for link in raw.links]
     return replace(raw, links=tuple(replace(link, names=link.names + more) for link, more in added))
@@ -51,7 +53,8 @@ def with_stated_axes(raw: RawArticulation, folder: Path, scale: float) -> RawArt
     """Hinges where ``mobility_v2.json`` has them, if that contradicts the URDF. The URDFs are made from that file. Some
     were edited later, and lost the places of their joints."""
     entries = _read_json(folder / JOINTS)
-    stated = {f"link_{entry.get('id')}": entry for entry in entries or [] if isinstance(entry, dict)}
+    entries = entries if isinstance(entries, list) else []
+    stated = {f"link_{entry.get('id')}": entry for entry in entries if isinstance(entry, dict)}
     joints = []
     for joint in raw.joints:
         origin = _stated_origin(joint, [stated[name] for name in raw.links[joint.child].names if name in stated])
@@ -68,19 +71,17 @@ def _stated_origin(joint: RawJoint, entries: list[dict[str, Any]]) -> np.ndarray
         return None
     try:
         axis = entries[0]["jointData"]["axis"]
-        origin, direction = (MODEL_FROM_JSON @ np.array(axis[key], dtype=np.float64) for key in ("origin", "direction"))
-    except (KeyError, TypeError, ValueError):
+        origin, direction = (MODEL_FROM_JSON @ Shape(3).array(axis[key]) for key in ("origin", "direction"))
+    except (KeyError, TypeError, ValueError, IndexError):
         return None
-    parallel = abs(direction @ joint.axis) > 0.999 * np.linalg.norm(direction)
-    return origin if parallel and np.isfinite(origin).all() else None
+    return origin if abs(direction @ joint.axis) > 0.999 * np.linalg.norm(direction) else None
 
 
 def _read_json(file: Path) -> Any:
     """None where it is missing or broken: these files only add to what the URDF says."""
-    try:
-        return json.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return None
+    with suppress(InputError):
+        return read_json(file, "")
+    return None
 
 
 def _plain(name: str) -> str:

@@ -109,7 +109,7 @@ def train_siamese(
             points = to_input_frame(views.points, first_frame(views.points))
         return contrastive_losses(module(points), objects, settings.margin)
 
-    return train_network(net, loss_terms, settings, models, folder)
+    return train_network(net, loss_terms, settings, models, folder, bank, [initial])
 
 
 class SiameseEncoder:

@@ -1,6 +1,6 @@
 """The same views spoilt in every way, estimated, and measured against their truth."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -9,25 +9,28 @@ import numpy as np
 
 from omad.common.batches import batched, progress
 from omad.common.errors import InputError
+from omad.data.procedural import GENERATORS, generate
 from omad.data.rendering.spoils.scenes import Scene, draw_scene, scene_of
 from omad.data.rendering.spoils.spoil import Spoil, Staging
 from omad.data.rendering.spoils.spoiling import spoilt, within_range
-from omad.data.rendering.standard_views import View, observe_all, view_seed
+from omad.data.rendering.standard_views import View, observe_all, standard_view, view_seed
 from omad.data.source import ViewSource
-from omad.estimation.checks import doubts
+from omad.estimation.checks import doubts, is_doubtful
+from omad.estimation.estimate import Estimate
 from omad.estimation.estimator import Estimator
 from omad.objects.category import Category
+from omad.objects.category_file import get_category
 from omad.output.picture import figure, reading, save
+from omad.sensing.observation import Observation
 
+from ..calibration import area_under_roc, expected_calibration_error
 from ..evaluate import true_pose
 from ..metrics import PoseErrors, missing_errors, pose_errors
 from .rows import CLEAN, Row
 
 BATCH = 64
-WITHIN_90 = 1.645
-"""Standard deviations to both sides that hold 90 % of a normal distribution."""
-WRONG_ANGLE, WRONG_SHARE = float(np.radians(10)), 0.1
-"""Of a joint state: radians, and a share of the object's diagonal, beyond which an answer is wrong."""
+LEVELS = (50, 90)
+"""Per cent, of the intervals."""
 
 Scenes = Callable[[int, Staging], Scene | None]
 """Scene ``index`` staged so; None where it cannot be."""
@@ -40,12 +43,15 @@ class Measured:
     index: int
     """Of the view."""
     errors: PoseErrors
-    state_std: np.ndarray
-    """(J,) radians or metres; NaN where there is no answer."""
+    half_widths: np.ndarray
+    """(2, J) of the intervals of ``LEVELS`` around the joint states, radians or metres; NaN where there is no
+    answer."""
     flagged: bool
     """The answer is called doubtful, or there is none."""
     wrong: bool
     """A joint is off by more than 10 degrees, or 10 % of the object's diagonal."""
+    probability: float = np.nan
+    """That it is not; NaN where there is no answer, or no probability."""
 
 
 def scenes_from(source: ViewSource, category: Category, seed: int) -> Scenes:
@@ -93,27 +99,71 @@ def _measure(estimator: Estimator, views: list[View]) -> Iterator[Measured]:
     category, observed = estimator.category, observe_all(views)
     estimates = dict(zip(observed, estimator(list(observed.values())), strict=True))
     for number, view in enumerate(views):
-        errors, std, flagged = missing_errors(category), np.full(len(category.joints), np.nan), True
-        if number in estimates:
-            estimate = estimates[number]
-            errors = pose_errors(estimate.pose(), true_pose(view, category), view.truth.part_boxes, category)
-            std = np.array([joint.state_std for joint in estimate.joints])
-            flagged = bool(doubts(observed[number], estimate))
-        most = np.where(category.turning, WRONG_ANGLE, WRONG_SHARE * view.truth.diagonal)
-        yield Measured(number, errors, std, flagged, bool((errors.joint_state > most).any()))
+        if number not in estimates:
+            nothing = np.full((len(LEVELS), len(category.joints)), np.nan)
+            yield Measured(number, missing_errors(category), nothing, flagged=True, wrong=True)
+            continue
+        estimate = estimates[number]
+        errors = pose_errors(estimate.pose(), true_pose(view, category), view.truth.part_boxes, category)
+        half = np.ptp([[joint.interval(level / 100) for joint in estimate.joints] for level in LEVELS], axis=2) / 2
+        wrong = not errors.right(category, view.truth.diagonal)
+        yield Measured(number, errors, half, _flagged(observed[number], estimate), wrong, _probability(estimate))
+
+
+def _flagged(observation: Observation, estimate: Estimate) -> bool:
+    return is_doubtful(estimate, doubts(observation, estimate))
+
+
+def _probability(estimate: Estimate) -> float:
+    return np.nan if estimate.probability is None else estimate.probability
+
+
+def others(estimator: Estimator, total: int, seed: int) -> list[Measured]:
+    """So many views of unseen procedural objects of other categories, to which no answer is right."""
+    category, found = estimator.category, []
+    names = [name for name in GENERATORS if name != category.name]
+    views = (_other(names[index % len(names)], index, seed) for index in range(total))
+    for some in batched(progress(views, total), BATCH):
+        for number, observation in observe_all(view for view in some if view is not None).items():
+            estimate = estimator(observation)
+            nothing = np.full((len(LEVELS), len(category.joints)), np.nan)
+            told = _flagged(observation, estimate), True, _probability(estimate)
+            found.append(Measured(number, missing_errors(category), nothing, *told))
+    return found
+
+
+def _other(name: str, index: int, seed: int) -> View | None:
+    other = get_category(name)
+    try:
+        return standard_view(generate(other, index, "test", seed), other, (seed, index))
+    except InputError:
+        return None
+
+
+def judged(measured: Sequence[Measured]) -> dict[str, Any] | None:
+    """Whether probabilities keep their word and tell right from wrong; None where there are none."""
+    told = np.array([each.probability for each in measured])
+    right = ~np.array([each.wrong for each in measured])
+    known = np.isfinite(told)
+    if not known.any():
+        return None
+    told, right = told[known], right[known]
+    error, area = expected_calibration_error(told, right), area_under_roc(told, right)
+    return {"answers": len(told), "right": float(right.mean()), "calibration_error": error, "area_under_roc": area}
 
 
 def table(found: Mapping[str, list[Measured]], rows: Mapping[str, Row], category: Category) -> list[dict[str, Any]]:
     """The rows of the table as plain values: errors of all joints together (degrees where a key says so, else metres),
-    shares of views, and of joints the share whose truth lies in the 90 % interval. ``ratio``: the mean error to that of
-    the same views when clean."""
+    shares of views, and of joints the shares whose truth lies in the 50 % and the 90 % interval. ``ratio``: the mean
+    error to that of the same views when clean."""
     clean = {each.index: _relative(each.errors, category) for each in found[CLEAN]}
     made = []
     for name, measured in found.items():
         if not measured:
             continue
         states = np.stack([each.errors.joint_state for each in measured])
-        std = np.stack([each.state_std for each in measured])
+        half = np.stack([each.half_widths for each in measured], 1)
+        covered = (states <= half).mean((1, 2)).tolist()
         relative = np.mean([_relative(each.errors, category) for each in measured])
         turning = np.array(category.turning)
         flagged, wrong = (np.array([getattr(each, key) for each in measured]) for key in ("flagged", "wrong"))
@@ -126,7 +176,7 @@ def table(found: Mapping[str, list[Measured]], rows: Mapping[str, Row], category
                 "joint_state_error_deg": _spread(np.degrees(states[:, turning])),
                 "joint_state_error": _spread(states[:, ~turning]),
                 "ratio": float(relative / np.mean([clean[each.index] for each in measured])),
-                "covered": float((states <= WITHIN_90 * std).mean()),
+                **{f"covered_{level}": share for level, share in zip(LEVELS, covered, strict=True)},
                 "flagged": float(flagged.mean()),
                 "wrong": float(wrong.mean()),
                 "silently_wrong": float((wrong & ~flagged).mean()),

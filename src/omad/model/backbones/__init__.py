@@ -3,6 +3,7 @@
 from dataclasses import asdict
 from typing import Any
 
+from omad.common.decode import decode, within
 from omad.common.errors import InputError
 
 from .interface import BackboneConfig
@@ -31,7 +32,10 @@ def backbone_to_dict(config: BackboneConfig) -> dict[str, Any]:
 
 
 def backbone_from_dict(values: dict[str, Any]) -> BackboneConfig:
-    """What ``backbone_to_dict`` wrote; early checkpoints, all of them PointNet++, tell no kind."""
-    sizes: dict[str, Any] = {name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}
+    """What ``backbone_to_dict`` wrote; early checkpoints, all of them PointNet++, tell no kind. Raises ValueError."""
     kinds = {config.kind: type(config) for config in BACKBONES.values()}
-    return kinds[sizes.pop("kind", PointNet2Config.kind)](**sizes)
+    kind = values.get("kind", PointNet2Config.kind)
+    if kind not in kinds:
+        raise ValueError(f"backbone.kind: is unknown; use {', '.join(kinds)}")
+    with within("backbone."):
+        return decode(kinds[kind], {name: value for name, value in values.items() if name != "kind"})

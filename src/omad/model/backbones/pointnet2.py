@@ -14,6 +14,9 @@ from functools import partial
 import torch
 from torch import Tensor, nn
 
+from omad.common.decode import within
+from omad.common.limits import check_limit
+
 from .interface import Backbone, BackboneConfig, Features
 from .point_ops import interpolate, nearest, pooled_groups
 
@@ -87,6 +90,19 @@ class PointNet2Config(BackboneConfig):
     """Features after the first and second set abstraction, and global."""
     radii: tuple[float | None, float | None] = (None, None)
     """Ball-query radii in category units; None: plain nearest neighbours."""
+
+    def __post_init__(self) -> None:
+        sizes = {"points": (self.points,), "dense": (self.dense,), "centres": self.centres, "widths": self.widths}
+        for name, numbers in (sizes | {"neighbours": self.neighbours}).items():
+            with within(f"{name}: "):
+                check_limit("points", max(numbers), "the network")
+            if min(numbers) < 1:
+                raise ValueError(f"{name}: is {numbers}; give whole numbers from 1")
+        for name, chosen in (("centres", self.centres), ("neighbours", self.neighbours)):
+            if chosen[0] > self.points or chosen[1] > self.centres[0]:
+                raise ValueError(f"{name}: are more than the points that they are chosen of")
+        if any(radius is not None and not 0 < radius < 1e4 for radius in self.radii):
+            raise ValueError(f"radii: are {self.radii}; give lengths above 0, or none")
 
     @property
     def pooled(self) -> int:

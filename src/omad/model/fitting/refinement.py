@@ -79,7 +79,7 @@ class PlainSolver:
             return State.unpack(x, joints).moved(step @ free.T).pack()
 
         robust = None if config.huber is None else Huber(config.huber, prior.num_keypoints)
-        found = minimise(at, initial.pack(), retract, config.trust_region, config.termination, robust)
+        found = minimise(at, initial.pack(), retract, config.trust_region, config.termination, robust, far=False)
         state = State.unpack(found.x, joints)
         points = prior.deform(state.beta, state.joint_states, state.T_camera_base)
         covariance = covariance_of(found.hessian.double(), self.free).to(free)

@@ -94,7 +94,7 @@ def hold_together(
         rotations = so3_exp(moves[..., :3]) @ poses.rotations
         return pack(PartPoses(poses.scale * step[:, 0].exp(), rotations, poses.translations + moves[..., 3:]))
 
-    return unpack(minimise(linearise, pack(start), retract, termination=config.termination).x)
+    return unpack(minimise(linearise, pack(start), retract, termination=config.termination, far=False).x)
 
 
 def of_points(poses: PartPoses, F: Tensor, Y: Tensor) -> Linearisation:

@@ -66,7 +66,7 @@ def train_ancsh(
             frames = disturbed_frames(views, settings.second_looks, settings.turned, draw)
         return ancsh_losses(module(to_input_frame(views.points, frames)), truth, category, settings.weights)
 
-    return train_network(net, loss_terms, settings, models, folder)
+    return train_network(net, loss_terms, settings, models, folder, bank, [initial])
 
 
 def ancsh_losses(

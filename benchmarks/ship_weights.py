@@ -1,0 +1,38 @@
+"""Put a trained network and its prior where the shipped weights are: the network in half precision, the prior as it is.
+
+    python benchmarks/ship_weights.py RUN PRIOR
+
+Category and folder follow from the checkpoint. What was fitted to the weights that were there goes: fit it again
+(``omad train confidence``).
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import torch
+import tyro
+from safetensors.torch import load_file, save_file
+
+from omad.common.files import write_atomic
+from omad.model.checkpoint import WEIGHTS
+
+MADE = ("config.json", "model.safetensors")
+
+
+def main(run: tyro.conf.Positional[Path], prior: tyro.conf.Positional[Path]) -> None:
+    folder = WEIGHTS / json.loads((run / "config.json").read_text())["category"]["name"]
+    tensors = load_file(run / "model.safetensors")
+    # the prior's own numbers stay exact: they are compared with those in its folder
+    halved = {name: value if name.startswith("prior.") else value.to(torch.half) for name, value in tensors.items()}
+    write_atomic(folder / "model.safetensors", lambda path: save_file(halved, path))
+    shutil.copy(run / "config.json", folder / "config.json")
+    for name in MADE:
+        shutil.copy(prior / name, folder / "prior" / name)
+    (folder / "confidence.json").unlink(missing_ok=True)
+
+
+if __name__ == "__main__":
+    tyro.cli(main, description=__doc__)

@@ -1,0 +1,74 @@
+"""The one object that is asked for, cut out of a whole frame where no mask says which it is."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from omad.common.errors import NothingSeen
+from omad.sensing.observation import Observation
+
+from .detector import SURE, Detection, Detector
+from .judgement import ODD_SIZE, size_ratio
+
+MARGIN, MEASURED, TOUCHED = 0.05, 0.4, 0.02
+"""A margin as wide as this share of the image; the share of it that is measured in frames that show more than an
+object, and in those that show things too large for one."""
+LIKELY = 0.2
+"""A thing less likely than this is not taken for the object, unless a box says so."""
+
+
+@dataclass(frozen=True)
+class ObjectFinder:
+    """Takes of a frame's things the one that the detector's categories explain best."""
+
+    detector: Detector
+
+    def __call__(self, frame: Observation, box: Sequence[float] | None = None) -> Observation:
+        """The object of a whole ``frame``, with warnings where it is doubtful or not the only one; of what lies in the
+        ``box`` (x1, y1, x2, y2) where one is given. A frame that shows an object and no surroundings is left as it is.
+        Raises NothingSeen where no thing is such an object, InputError for a box that is wrong."""
+        ratios = [size_ratio(frame.points, estimator.category) for estimator in self.detector.estimators]
+        seen = measured_margin(frame)
+        if seen < (TOUCHED if min(ratios) > ODD_SIZE else MEASURED):
+            return frame if box is None else frame.part(frame.inside(box))
+        things = self.detector(frame, box)
+        names = " or ".join(estimator.category.name for estimator in self.detector.estimators)
+        where = "before table, floor and walls" if box is None else "in the box before table, floor and walls"
+        cure = "give a mask, or a box around the object; omad detect shows what was found"
+        if not things:
+            raise NothingSeen(f"no {names}: nothing stands {where}; {cure}")
+        candidates = sorted((thing for thing in things if thing.evidence), key=_likelihood, reverse=True)
+        if not candidates:
+            sizes = sorted(float(np.linalg.norm(np.ptp(thing.observation.points, axis=0))) for thing in things)
+            what = f"{len(things)} things of {sizes[0]:.2g} to {sizes[-1]:.2g} m stand {where}"
+            raise NothingSeen(f"no {names}: {what}, none is about as large; check the depth scale, or {cure}")
+        best, likelihood = candidates[0], _likelihood(candidates[0])
+        if likelihood < LIKELY and box is None:
+            what = f"of {len(things)} things {where} the likeliest is one with {likelihood:.0%}"
+            raise NothingSeen(f"no {names}: {what}; {cure}")
+        doubts = []
+        if likelihood < SURE:
+            doubts.append(f"the thing taken for a {names} is one with {likelihood:.0%} only: look at it; {cure}")
+        if others := [one for one in candidates[1:] if _likelihood(one) >= SURE]:
+            places = ", ".join(f"{','.join(map(str, one.box or ()))} ({_likelihood(one):.0%})" for one in others)
+            told = f"more than one {names} is seen: the likeliest was taken, others are in the boxes {places}"
+            doubts.append(f"{told}; omad detect gives them all, a box the one that is meant")
+        return best.observation.warned(*doubts)
+
+
+def measured_margin(frame: Observation) -> float:
+    """Share of a depth image's margin that is measured; 0 of a bare cloud. An object that was cut out already hardly
+    reaches it."""
+    if frame.mask is None:
+        return 0.0
+    height, width = frame.mask.shape
+    down, across = max(int(MARGIN * height), 1), max(int(MARGIN * width), 1)
+    inner = frame.mask[down : height - down, across : width - across]
+    seen = np.count_nonzero(frame.mask) - np.count_nonzero(inner)
+    return seen / (frame.mask.size - inner.size)
+
+
+def _likelihood(thing: Detection) -> float:
+    """Of the likeliest category."""
+    return max((share for name, share in thing.probabilities.items() if name is not None), default=0.0)

@@ -1,0 +1,124 @@
+"""What turns signals into numbers to rely on: how far off a joint state may be, and whether an answer is right.
+
+A category's is fitted to views of objects that its network has not seen (``omad train confidence``), and lies in the
+checkpoint folder beside the network as ``confidence.json``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from hashlib import sha256
+from pathlib import Path
+from statistics import NormalDist
+from typing import Self
+
+import numpy as np
+
+from omad.common.decode import decode
+from omad.common.errors import InputError
+from omad.common.files import write_json
+from omad.common.incoming import read_json
+from omad.objects.category import Category
+
+from .perceptron import Perceptron
+from .signals import IMAGE, JOINT, Signals
+
+FILE, WEIGHTS = "confidence.json", "model.safetensors"
+FORMAT = 1
+RIGHT_ANGLE, RIGHT_SHARE = float(np.radians(10)), 0.1
+"""An answer is right where no joint state is farther off: radians, and a share of the object's diagonal."""
+CURE = "run omad train confidence, or delete the file"
+
+
+def deviations(level: float) -> float:
+    """Standard deviations to both sides of its mean that hold a share ``level`` of a normal distribution."""
+    return NormalDist().inv_cdf((1 + level) / 2)
+
+
+MEDIAN, UPPER = deviations(0.5), deviations(0.9)
+
+
+@dataclass(frozen=True)
+class FittedTo:
+    """Views that a confidence was fitted to."""
+
+    source: str
+    views: int
+    version: str
+    """Of omad."""
+
+
+@dataclass(frozen=True)
+class Confidence:
+    """Of one category's network."""
+
+    category: str
+    image: tuple[str, ...]
+    """Names of the signals of an estimate ..."""
+    joint: tuple[str, ...]
+    """... and of each joint, in their order."""
+    errors: Perceptron
+    """From the signals of image and joint, and which joint it is (J zeros but for a one), to the logarithm of its
+    state's median error (category units), and to that of the 90th percentile's ratio to it before a softplus."""
+    right: Perceptron
+    """From the signals of image and all joints to the log-odds of a right answer."""
+    fitted_to: FittedTo
+
+    def spreads(self, signals: Signals, category: Category) -> tuple[np.ndarray, np.ndarray]:
+        """``state_std`` (B, J), radians or metres, and ``tail`` (B, J) of ``JointEstimate``."""
+        median, ratio = np.moveaxis(self.errors(joint_inputs(signals)), -1, 0)
+        tail = np.logaddexp(0, ratio) / np.log(UPPER / MEDIAN)
+        span = np.ptp(category.metric_limits, axis=1)
+        return np.minimum(np.exp(median) * MEDIAN**-tail * category.state_units, span), tail
+
+    def probabilities(self, signals: Signals) -> np.ndarray:
+        """(B,) that an answer is right."""
+        return 1 / (1 + np.exp(-self.right(image_inputs(signals))[:, 0]))
+
+    def save(self, folder: Path) -> None:
+        """Put it into a checkpoint folder, whole or not at all. Raises InputError."""
+        write_json(folder / FILE, {"format": FORMAT, "weights": _identity(folder), **asdict(self)})
+
+    @classmethod
+    def load(cls, folder: Path, category: Category) -> Self | None:
+        """That of a checkpoint folder; None where it has none. Raises InputError for a damaged file, and for one of
+        other weights, another category or version."""
+        path = folder / FILE
+        if not path.exists():
+            return None
+        record = read_json(path, CURE)
+        if not isinstance(record, dict) or record.pop("format", None) != FORMAT:
+            raise InputError(f"{path}: not a confidence of format {FORMAT}; {CURE}")
+        if record.pop("weights", None) != _identity(folder):
+            raise InputError(f"{path}: was fitted to other weights than those beside it; {CURE}")
+        try:
+            found = decode(cls, record)
+        except ValueError as error:
+            raise InputError(f"{path}: {error}; {CURE}") from error
+        joints, wanted = len(category.joints), len(IMAGE) + len(JOINT)
+        sizes = len(found.errors.mean), len(found.errors.straight), len(found.right.mean), len(found.right.straight)
+        if found.category != category.name:
+            raise InputError(f"{path}: is for {found.category}, not for {category.name}; {CURE}")
+        if (found.image, found.joint) != (IMAGE, JOINT) or sizes != (
+            wanted + joints, 2, len(IMAGE) + joints * len(JOINT), 1
+        ):  # fmt: skip
+            raise InputError(f"{path}: field image, joint, errors or right: of another version; {CURE}")
+        return found
+
+
+def _identity(folder: Path) -> str:
+    """Tells the network of a checkpoint folder from others."""
+    return sha256((folder / WEIGHTS).read_bytes()).hexdigest()[:16]
+
+
+def joint_inputs(signals: Signals) -> np.ndarray:
+    """(B, J, N) what ``Confidence.errors`` takes."""
+    batch, joints = signals.joint.shape[:2]
+    image = np.repeat(signals.image[:, None], joints, 1)
+    which = np.broadcast_to(np.eye(joints), (batch, joints, joints))
+    return np.concatenate([image, signals.joint, which], 2)
+
+
+def image_inputs(signals: Signals) -> np.ndarray:
+    """(B, N) what ``Confidence.right`` takes."""
+    return np.concatenate([signals.image, signals.joint.reshape(len(signals.joint), -1)], 1)

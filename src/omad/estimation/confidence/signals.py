@@ -1,0 +1,166 @@
+"""What an estimation knows of its own quality: numbers that are at hand when it ends.
+
+Lengths are in category units; spreads and distances are logarithms, as what matters is their ratio to the usual.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from torch import Tensor
+
+from omad.common.arrays import as_doubles
+from omad.model.fitting.state import Refined, Targets
+from omad.model.omadnet import Prediction
+from omad.model.prior import OmadPrior
+from omad.objects.category import Category
+from omad.sensing.observation import Observation
+
+IMAGE = (
+    "expected error", "worst expected error", "misfit", "residual", "shape", "spread", "turned since the look",
+    "moved since the look", "turned from the network's own pose", "outside", "points", "cut off", "size",
+    "from the side", "from above", "from the front", "distance", "not converged",
+)  # fmt: skip
+"""Of the whole estimate."""
+JOINT = (
+    "std", "network's own state", "spread", "beyond its limits", "travel", "expected error", "misfit", "points",
+)  # fmt: skip
+"""Of each joint, some of them of the part that it moves."""
+LEAST = 1e-3
+"""Added to what may vanish, before its logarithm is taken."""
+SMALLEST_MOVE = 1e-2
+"""The same of turns and moves."""
+LARGE = 10.0
+"""In place of what is not finite."""
+
+
+@dataclass(frozen=True)
+class Signals:
+    """Of B estimates with J joints; finite."""
+
+    image: np.ndarray
+    """(B, len(IMAGE))."""
+    joint: np.ndarray
+    """(B, J, len(JOINT))."""
+
+    @classmethod
+    def none(cls) -> Self:
+        """Of no estimation."""
+        return cls(np.zeros((0, len(IMAGE))), np.zeros((0, 0, len(JOINT))))
+
+    def rows(self) -> list[Self]:
+        """Each estimate's, batches of one."""
+        return [type(self)(self.image[b : b + 1], self.joint[b : b + 1]) for b in range(len(self.image))]
+
+
+class Meter:
+    """Reads the signals off an estimation, with a category's constants worked out once."""
+
+    def __init__(self, category: Category, prior: OmadPrior) -> None:
+        parts, limits = len(category.parts), np.array([joint.limits for joint in category.joints])
+        self._parts, self._half, self._middle = parts, np.ptp(limits, axis=1) / 2, limits.mean(1)
+        part_of = np.array(category.part_of_keypoint)
+        moved = np.stack([part_of == part for part in range(1, parts)], 1).astype(float)
+        self._mean_of_part = moved / moved.sum(0)
+        self._usual = as_doubles(prior.beta_mean)
+        self._precision = np.linalg.pinv(as_doubles(prior.beta_covariance), hermitian=True)
+
+    def __call__(
+        self, observations: Sequence[Observation], clouds: Tensor, frame: Tensor, said: Prediction, targets: Targets,
+        refined: Refined, keypoints: np.ndarray,
+    ) -> Signals:  # fmt: skip
+        """Of B observations' last look: in ``frame`` (B, 4, 4) the network was shown ``clouds`` (B, samples, n, 3) and
+        ``said`` what they are, (B samples); these are the ``targets`` that ``keypoints`` (B, M, 3) were fitted to."""
+        batch, joints = len(observations), len(self._half)
+
+        def each(values: Tensor) -> np.ndarray:
+            return as_doubles(values).reshape(batch, -1, *values.shape[1:])
+
+        rows = as_doubles(refined.state.pack())
+        T, states, beta = rows[:, :16].reshape(-1, 4, 4), rows[:, 16 : 16 + joints], rows[:, 16 + joints :]
+        start, own, samples = as_doubles(frame), each(said.quaternion)[:, 0], clouds.shape[1]
+        turned = start[:, :3, :3].transpose(0, 2, 1) @ T[:, :3, :3]
+        away = np.sqrt(np.square(T[:, :3, 3]).sum(1))
+        view = -(T[:, :3, 3, None] / away[:, None, None] * T[:, :3, :3]).sum(1)
+
+        weights = as_doubles(targets.weights)
+        log_std = -0.5 * np.log(weights)
+        off = weights * np.square(keypoints - as_doubles(targets.keypoints)).sum(-1)
+        spread = _variance(each(said.keypoints)).sum(-1).mean(-1) if samples > 1 else np.exp(2 * log_std).mean(1)
+        own_states = each(said.states)
+        labels = said.part_logits.argmax(-1).numpy(force=True).reshape(batch, -1)
+        share = (labels[:, None] == np.arange(1, self._parts + 1)[:, None]).sum(2) / max(labels.shape[1], 1)
+        cloud = clouds.numpy(force=True).reshape(batch, -1, 3)
+        unusual = beta - self._usual
+        image = [
+            log_std.mean(1),
+            log_std.max(1),
+            np.log(off.mean(1) + LEAST),
+            np.log(as_doubles(refined.residual) + LEAST),
+            np.log1p((unusual @ self._precision * unusual).mean(1)),
+            np.log(np.sqrt(spread) + LEAST),
+            np.log(_angle(turned.trace(axis1=1, axis2=2)) + SMALLEST_MOVE),
+            np.log(np.sqrt(np.square(T[:, :3, 3] - start[:, :3, 3]).sum(1)) + SMALLEST_MOVE),
+            np.log(_angle(_trace_between(own, turned)) + SMALLEST_MOVE),
+            np.sqrt(share[:, -1]),
+            np.log([len(one.points) for one in observations]),
+            [_cut_off(one) for one in observations],
+            np.log(np.sqrt(np.square(cloud.max(1) - cloud.min(1)).sum(1)) + LEAST),
+            np.abs(view[:, 0]),
+            view[:, 1],
+            view[:, 2],
+            np.log(away + LEAST),
+            1.0 - as_doubles(refined.converged),
+        ]
+        travel = (states - self._middle) / self._half
+        variance = as_doubles(refined.covariance).diagonal(axis1=1, axis2=2)[:, 6 : 6 + joints]
+        joint = [
+            np.log(np.sqrt(variance.clip(0)) + LEAST),
+            np.log(np.abs(own_states.mean(1) - states) + LEAST),
+            np.log(np.sqrt(_variance(own_states)) + LEAST),
+            np.log((np.abs(travel) - 1).clip(0) + SMALLEST_MOVE),
+            travel,
+            log_std @ self._mean_of_part,
+            np.log(off @ self._mean_of_part + LEAST),
+            np.sqrt(share[:, :-1]),
+        ]
+        found = np.stack(image, 1), np.stack(joint, 2)
+        return Signals(*map(_finite, found))
+
+
+def _finite(values: np.ndarray) -> np.ndarray:
+    if np.isfinite(values).all():
+        return values
+    return np.nan_to_num(values, nan=LARGE, posinf=LARGE, neginf=-LARGE)
+
+
+def _variance(values: np.ndarray) -> np.ndarray:
+    """Over samples (B, samples, ...) -> (B, ...); NumPy's own takes its time for checks."""
+    off = values - values.sum(1, keepdims=True) / values.shape[1]
+    return np.square(off).sum(1) / values.shape[1]
+
+
+def _angle(traces: np.ndarray) -> np.ndarray:
+    """(B,) radians of rotations with such traces."""
+    return np.arccos(np.clip((traces - 1) / 2, -1, 1))
+
+
+def _trace_between(quaternions: np.ndarray, rotations: np.ndarray) -> np.ndarray:
+    """(B,) trace of the rotation that takes one (B, 4) to the other (B, 3, 3): a quadratic form in the quaternion
+    (Horn, "Closed-form solution of absolute orientation using unit quaternions", 1987)."""
+    w, v, R = quaternions[:, 0], quaternions[:, 1:], rotations
+    across = w * (v * (R[:, [2, 0, 1], [1, 2, 0]] - R[:, [1, 2, 0], [2, 0, 1]])).sum(1)
+    along = (v * (R @ v[..., None])[..., 0]).sum(1)
+    return (w * w - (v * v).sum(1)) * R.trace(axis1=1, axis2=2) + 2 * (along + across)
+
+
+def _cut_off(observation: Observation) -> float:
+    """Length of the object's pixels along a border of the image, as a share of its width in pixels."""
+    mask = observation.mask
+    if mask is None:
+        return 0.0
+    longest = max(map(np.count_nonzero, (mask[:, 0], mask[:, -1], mask[0], mask[-1])))
+    return min(longest / len(observation.points) ** 0.5, 1.0)

@@ -1,0 +1,179 @@
+"""Fits a category's ``Confidence``: quantiles of the joint states' errors by the pinball loss, and the probability of a
+right answer by maximum likelihood."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+from torch.nn.functional import binary_cross_entropy_with_logits, softplus
+
+from omad.common.batches import batched, progress
+from omad.common.errors import InputError
+from omad.estimation.confidence.model import Confidence, FittedTo, deviations, image_inputs, joint_inputs
+from omad.estimation.confidence.perceptron import FARTHEST, Perceptron
+from omad.estimation.confidence.signals import IMAGE, JOINT, Signals
+from omad.estimation.estimator import Estimator
+from omad.objects.category import Category
+from omad.objects.model import ObjectModel
+
+from ..calibration import area_under_roc, expected_calibration_error
+from ..evaluate import true_pose
+from ..metrics import pose_errors
+from .views import Example, examples
+
+BATCH = 64
+HIDDEN = 12
+STEPS = 300
+LEARNING_RATE = 0.02
+DECAYS = (3e-3, 1e-2, 3e-2)
+"""Of the squared weights of the hidden layer, a tenth of it for the linear function: the best of them is found ..."""
+FOLDS = 3
+"""... by fits that leave out a third each."""
+SMALLEST = 1e-4
+"""Added to errors before their logarithm is taken, category units or radians."""
+FEWEST = 200
+"""Views of the category, right and wrong ones together, that can be learned from."""
+
+Loss = Callable[[Tensor, Tensor], Tensor]
+"""Of outputs (N, k) and what was seen (N,)."""
+
+
+@dataclass(frozen=True)
+class Answers:
+    """What an estimator said of N views."""
+
+    signals: Signals
+    errors: np.ndarray
+    """(N, J) of the joint states, category units; NaN of views of other things."""
+    right: np.ndarray
+    """(N,) bool."""
+
+    @property
+    def of_category(self) -> np.ndarray:
+        """(N,) bool."""
+        return ~np.isnan(self.errors[:, 0])
+
+
+def answered(estimator: Estimator, models: Sequence[ObjectModel], views: int, seed: int) -> Answers:
+    """The estimator's answers to so many views of the ``models``, and of other things."""
+    category = estimator.category
+    found = [
+        _answer(estimator, some)
+        for some in batched(progress(examples(models, category, views, seed), views, every=30.0), BATCH)
+    ]
+    signals = Signals(*(np.concatenate([getattr(one.signals, key) for one in found]) for key in ("image", "joint")))
+    return Answers(signals, *(np.concatenate([getattr(one, key) for one in found]) for key in ("errors", "right")))
+
+
+def _answer(estimator: Estimator, shown: Sequence[Example]) -> Answers:
+    category = estimator.category
+    estimates = estimator([example.view.observation() for example in shown])
+    errors, right = np.full((len(shown), len(category.joints)), np.nan), np.zeros(len(shown), dtype=bool)
+    for number, (example, estimate) in enumerate(zip(shown, estimates, strict=True)):
+        if example.of_category:
+            truth = example.view.truth
+            found = pose_errors(estimate.pose(), true_pose(example.view, category), truth.part_boxes, category)
+            errors[number] = found.joint_state / category.state_units
+            right[number] = found.right(category, truth.diagonal)
+    image, joint = (np.concatenate([getattr(e.signals, key) for e in estimates]) for key in ("image", "joint"))
+    return Answers(Signals(image, joint), errors, right)
+
+
+def fit(answers: Answers, category: Category, fitted_to: FittedTo) -> Confidence:
+    """Raises InputError where there is too little to learn from."""
+    mine = answers.of_category
+    if mine.sum() < FEWEST:
+        raise InputError(f"views: {mine.sum()} of them show the category, at least {FEWEST} are needed; give more")
+    own = Signals(answers.signals.image[mine], answers.signals.joint[mine])
+    inputs = joint_inputs(own)
+    errors = fit_errors(inputs.reshape(-1, inputs.shape[-1]), answers.errors[mine].ravel())
+    right = fit_right(image_inputs(answers.signals), answers.right)
+    return Confidence(category.name, IMAGE, JOINT, errors, right, fitted_to)
+
+
+def measured(confidence: Confidence, answers: Answers, category: Category) -> dict[str, Any]:
+    """How well it keeps its word on ``answers``: shares of joint states in their intervals, and of the probability."""
+    mine, told = answers.of_category, confidence.probabilities(answers.signals)
+    std, tail = confidence.spreads(answers.signals, category)
+    errors = answers.errors[mine] * category.state_units
+    within = {level: std[mine] * deviations(level) ** tail[mine] for level in (0.5, 0.9)}
+    covered = {f"covered_{100 * level:.0f}": float((errors <= half).mean()) for level, half in within.items()}
+    error, area = expected_calibration_error(told, answers.right), area_under_roc(told, answers.right)
+    return covered | {"right": float(answers.right.mean()), "calibration_error": error, "area_under_roc": area}
+
+
+def fit_errors(inputs: np.ndarray, errors: np.ndarray) -> Perceptron:
+    """``Confidence.errors`` from ``inputs`` (N, n) and ``errors`` (N,), none negative. Answers that it was not fitted
+    to are farther off than those that it was: by how much is told by fits without them."""
+    seen = np.log(errors + SMALLEST)
+    found, said = _cross_validated(inputs, seen, _quantile_loss, [float(np.median(seen)), 0.5])
+    farther = np.median(seen - said[:, 0])
+    above = np.maximum(seen - said[:, 0] - farther, 0)
+    with np.errstate(divide="ignore"):
+        wider = np.quantile(np.log(np.expm1(above)) - said[:, 1], 0.9)  # where softplus gives the 90th percentile
+    median, ratio = found.straight
+    straight = (*median[:-1], median[-1] + float(farther)), (*ratio[:-1], ratio[-1] + float(wider))
+    return replace(found, straight=straight)
+
+
+def fit_right(inputs: np.ndarray, right: np.ndarray) -> Perceptron:
+    """``Confidence.right`` from ``inputs`` (N, n) and ``right`` (N,) bool."""
+    share = (right.sum() + 1) / (len(right) + 2)
+    return _cross_validated(inputs, right, _log_loss, [math.log(share / (1 - share))])[0]
+
+
+def _quantile_loss(said: Tensor, logs: Tensor) -> Tensor:
+    median = said[:, 0]
+    return (_pinball(logs - median, 0.5) + _pinball(logs - median - softplus(said[:, 1]), 0.9)).mean()
+
+
+def _pinball(above: Tensor, level: float) -> Tensor:
+    """Least where a share ``level`` of the numbers is below zero."""
+    return torch.maximum(level * above, (level - 1) * above)
+
+
+def _log_loss(said: Tensor, right: Tensor) -> Tensor:
+    return binary_cross_entropy_with_logits(said[:, 0], right)
+
+
+def _cross_validated(
+    inputs: np.ndarray, seen: np.ndarray, loss: Loss, start: Sequence[float]
+) -> tuple[Perceptron, np.ndarray]:
+    """A fit to inputs (N, n) and what was ``seen`` (N,), with the decay that does best on what is left out of a fit;
+    and what fits with that decay say (N, len(start)) of what was left out of them."""
+    fold, targets = np.arange(len(seen)) % FOLDS, torch.as_tensor(seen, dtype=torch.float32)
+    lowest, best, kept = math.inf, DECAYS[0], np.empty((len(seen), len(start)))
+    for decay in DECAYS:
+        said = np.empty_like(kept)
+        for number in range(FOLDS):
+            rest = fold != number
+            said[~rest] = _fitted(inputs[rest], targets[torch.as_tensor(rest)], loss, start, decay)(inputs[~rest])
+        cost = float(loss(torch.as_tensor(said, dtype=torch.float32), targets))
+        if cost < lowest:
+            lowest, best, kept = cost, decay, said
+    return _fitted(inputs, targets, loss, start, best), kept
+
+
+def _fitted(inputs: np.ndarray, targets: Tensor, loss: Loss, start: Sequence[float], decay: float) -> Perceptron:
+    """Of inputs (N, n), with the smallest ``loss`` of its outputs (N, len(start)), which begin at ``start``."""
+    mean, spread = inputs.mean(0), np.maximum(inputs.std(0), 1e-6)
+    x = torch.as_tensor(((inputs - mean) / spread).clip(-FARTHEST, FARTHEST), dtype=torch.float32)
+    generator, (n, outputs) = torch.Generator().manual_seed(0), (x.shape[1], len(start))
+    hidden = nn.Parameter(torch.randn(HIDDEN, n + 1, generator=generator) / math.sqrt(n))
+    bent = nn.Parameter(torch.randn(outputs, HIDDEN, generator=generator) * 0.1 / math.sqrt(HIDDEN))
+    straight = nn.Parameter(torch.cat([torch.zeros(outputs, n), torch.tensor(start)[:, None]], 1))
+    optimiser = torch.optim.Adam([hidden, bent, straight], LEARNING_RATE)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, STEPS)
+    for _ in range(STEPS):
+        said = torch.tanh(x @ hidden[:, :-1].T + hidden[:, -1]) @ bent.T + x @ straight[:, :-1].T + straight[:, -1]
+        size = hidden[:, :-1].square().sum() + bent.square().sum() + 0.1 * straight[:, :-1].square().sum()
+        optimiser.zero_grad()
+        (loss(said, targets) + decay * size).backward()
+        optimiser.step()
+        schedule.step()
+    rows = ([tuple(row) for row in weights.detach().tolist()] for weights in (hidden, bent, straight))
+    return Perceptron(tuple(mean.tolist()), tuple(spread.tolist()), *map(tuple, rows))

@@ -1,0 +1,108 @@
+"""Views to learn confidence from: spoilt in few ways or in many, of usual and unusual objects, and of other things."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import TypeVar
+
+import numpy as np
+
+from omad.common.errors import InputError
+from omad.data.procedural import GENERATORS, generate
+from omad.data.rendering.spoils.scenes import draw_scene
+from omad.data.rendering.spoils.spoil import Spoil, Staging, random_spoil
+from omad.data.rendering.spoils.spoiling import spoilt, within_range
+from omad.data.rendering.spoils.things import simple_thing
+from omad.data.rendering.standard_views import View
+from omad.geometry.mesh import Mesh
+from omad.geometry.rigid import box
+from omad.objects.category import Category
+from omad.objects.category_file import get_category
+from omad.objects.model import ObjectModel
+
+OTHERS, HEAPS = 0.14, 0.06
+"""Shares of the views that show objects of other categories, and heaps of boxes and cans."""
+STRETCHED = 0.5
+"""Share of the category's objects whose proportions are changed ..."""
+STRETCHES = (0.1, 0.25)
+"""... by one of these, the standard deviation of each side's logarithm: real objects are unlike those trained on."""
+WAVES = (0.002, 0.03)
+"""Smooth depth error as a share of the object's diagonal."""
+SEEDS = 2**31
+
+Setting = TypeVar("Setting", Spoil, Staging)
+
+
+@dataclass(frozen=True)
+class Example:
+    """One view."""
+
+    view: View
+    of_category: bool
+    """False: there is no right answer to it."""
+
+
+def examples(models: Sequence[ObjectModel], category: Category, count: int, seed: int) -> Iterator[Example]:
+    """``count`` views of the ``models`` and of what is none of them; the same for the same arguments."""
+    drawn = index = 0
+    while drawn < count:
+        example = _example(models, category, (seed, index))
+        index += 1
+        if example is not None:
+            drawn += 1
+            yield example
+
+
+def _example(models: Sequence[ObjectModel], category: Category, seed: tuple[int, int]) -> Example | None:
+    """None where such a view shows too little."""
+    rng = np.random.default_rng(seed)
+    kind, model, own = rng.random(), models[int(rng.integers(len(models)))], category
+    if kind < OTHERS:
+        own = get_category(str(rng.choice([name for name in GENERATORS if name != category.name])))
+        model = _at_some_size(generate(own, int(rng.integers(SEEDS)), "train"), own, category, rng)
+    elif kind < OTHERS + HEAPS:
+        model = _heap(model, rng)
+    elif rng.random() < STRETCHED:
+        model = model.stretched(np.exp(rng.normal(0, rng.choice(STRETCHES), 3)))
+    spoil = thinned_spoil(rng)
+    try:
+        scene = draw_scene(model, own, seed, spoil.staging)
+        if not within_range(scene, spoil):
+            return None
+        view = spoilt(scene, spoil).view
+        view.observation()
+    except InputError:
+        return None
+    return Example(view, kind >= OTHERS + HEAPS)
+
+
+def thinned_spoil(rng: np.random.Generator) -> Spoil:
+    """A random spoil of which a random share is left: from nothing wrong to all that may be."""
+    every = replace(random_spoil(rng), waves=float(rng.uniform(*WAVES)))
+    share = rng.random()
+    return replace(_thinned(every, share, rng), staging=_thinned(every.staging, share, rng))
+
+
+def _thinned(settings: Setting, share: float, rng: np.random.Generator) -> Setting:
+    left_out = {field.name: field.default for field in fields(settings) if rng.random() > share}
+    return replace(settings, **left_out)
+
+
+def _at_some_size(model: ObjectModel, own: Category, category: Category, rng: np.random.Generator) -> ObjectModel:
+    """From its own size to that of objects of the category."""
+    return model.stretched(np.full(3, (category.metres_per_unit / own.metres_per_unit) ** rng.random()))
+
+
+def _heap(model: ObjectModel, rng: np.random.Generator) -> ObjectModel:
+    """Boxes and cans where the parts of an object are."""
+    meshes = []
+    for part in model.parts:
+        thing, place = simple_thing(rng), box(part.vertices).mean(0)
+        size = rng.uniform(0.3, 1.0) * model.diagonal
+        meshes.append(_placed(thing, place, size))
+    return replace(model, parts=tuple(meshes))
+
+
+def _placed(thing: Mesh, place: np.ndarray, size: float) -> Mesh:
+    low, high = box(thing.vertices)
+    factor = size / float(np.linalg.norm(high - low))
+    return thing.warped(lambda vertices: (vertices - (low + high) / 2) * factor + place)

@@ -1,0 +1,126 @@
+"""Objects that a prior knows whole: the keypoints of each, and its surface when it is asked for.
+
+Objects of a generator are kept as their numbers and made again; others are kept with their meshes. A bank is the file
+``surfaces.npz`` beside a checkpoint.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+
+from omad.common.arrays import as_numpy
+from omad.common.errors import InputError
+from omad.common.files import one_line, write_atomic
+from omad.data.procedural import generate
+from omad.geometry.mesh import Mesh
+from omad.objects.category import Category
+from omad.objects.model import ObjectModel
+
+from ..prior import OmadPrior
+from .template import Template
+
+FILE = "surfaces.npz"
+"""What a bank is called, in the folder of a checkpoint."""
+REMEMBERED = 256
+"""Templates that are kept once they are made."""
+ROUNDED = 1e-3
+"""By how much numbers of a basis may differ: some weights are stored with fewer digits."""
+
+
+@dataclass(frozen=True)
+class ShapeBank:
+    """N objects of a category."""
+
+    category: Category
+    basis: np.ndarray
+    """(L, 3, D) learned by the prior whose keypoints these are."""
+    keypoints: np.ndarray
+    """(N, M, 3) float32, canonical space at rest, category units."""
+    meshes: Sequence[tuple[Mesh, ...]] = ()
+    """Of each object, a part each, canonical space, metres; none where the generator makes them."""
+    _made: dict[int, Template] = field(default_factory=dict, repr=False)
+
+    def __len__(self) -> int:
+        return len(self.keypoints)
+
+    @cached_property
+    def _of_part(self) -> tuple[slice, ...]:
+        ends = np.cumsum([0, *(part.keypoints for part in self.category.parts)]).tolist()
+        return tuple(map(slice, ends, ends[1:]))
+
+    def nearest(self, keypoints: np.ndarray, count: int) -> np.ndarray:
+        """The ``count`` objects whose keypoints are nearest to ``keypoints`` (M, 3), nearest first."""
+        apart = np.square(self.keypoints - keypoints).sum((1, 2))
+        return np.argsort(apart, kind="stable")[:count]
+
+    def template(self, index: int) -> Template:
+        """Object ``index``; made at its first use."""
+        index = int(index)
+        if index not in self._made:
+            if len(self._made) >= REMEMBERED:
+                self._made.pop(next(iter(self._made)))
+            unit, known = self.category.metres_per_unit, self.keypoints[index].astype(np.float64)
+            self._made[index] = Template.of(self._object(index), unit, known, self._of_part)
+        return self._made[index]
+
+    def _object(self, index: int) -> ObjectModel:
+        if not self.meshes:
+            return generate(self.category, index)
+        joints = len(self.category.joints)
+        nowhere = np.zeros((joints, 3))
+        return ObjectModel.of(self.category, str(index), self.meshes[index], nowhere, nowhere)
+
+    def save(self, folder: Path) -> Path:
+        """Write ``surfaces.npz`` into a checkpoint's ``folder``."""
+        arrays: dict[str, Any] = {"basis": self.basis, "keypoints": self.keypoints.astype(np.float16)}
+        if self.meshes:
+            parts = [part for parts in self.meshes for part in parts]
+            arrays["vertices"] = np.concatenate([part.vertices for part in parts]).astype(np.float32)
+            arrays["faces"] = np.concatenate([part.faces for part in parts]).astype(np.int32)
+            arrays["counts"] = np.array([(len(part.vertices), len(part.faces)) for part in parts])
+        path = folder / FILE
+        write_atomic(path, lambda file: np.savez_compressed(file, allow_pickle=False, **arrays))
+        return path
+
+    @classmethod
+    def load(cls, path: Path, category: Category, prior: OmadPrior) -> Self:
+        """Read one that was made with ``prior``. Raises InputError for anything else."""
+        cure = f"make it anew: omad train surface --category {category.name}"
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                arrays = dict(file)
+            known, basis = arrays["keypoints"].astype(np.float32), arrays["basis"]
+            meshes = _meshes(arrays, len(category.parts))
+        except (OSError, ValueError, KeyError) as error:
+            raise InputError(f"{path}: damaged or not a bank of surfaces ({one_line(error)}); {cure}") from error
+        mine = as_numpy(prior.learned_basis)
+        if basis.shape != mine.shape or not np.allclose(basis, mine, rtol=0, atol=ROUNDED):
+            raise InputError(f"{path}: was made with another prior than these weights; {cure}")
+        return cls(category, basis, known, meshes)
+
+    @classmethod
+    def of_models(
+        cls, category: Category, prior: OmadPrior, keypoints: Any, models: Sequence[ObjectModel], generated: bool
+    ) -> Self:
+        """Of ``models`` with their keypoints (N, M, 3); ``generated``: they are the first N that the generator
+        makes to train with."""
+        meshes = () if generated else [model.parts for model in models]
+        return cls(category, as_numpy(prior.learned_basis), as_numpy(keypoints), meshes)
+
+
+def _meshes(arrays: dict[str, np.ndarray], parts: int) -> list[tuple[Mesh, ...]]:
+    if "counts" not in arrays:
+        return []
+    ends = np.cumsum(arrays["counts"], 0)[:-1]
+    vertices, faces = np.split(arrays["vertices"], ends[:, 0]), np.split(arrays["faces"], ends[:, 1])
+    each = [Mesh(v.astype(np.float64), f.astype(np.int64)) for v, f in zip(vertices, faces, strict=True)]
+    return [tuple(each[i : i + parts]) for i in range(0, len(each), parts)]
+
+
+def bank_beside(folder: Path) -> Path | None:
+    """The bank of a checkpoint, or of the one that it lies in, if any."""
+    return next((path for path in (folder / FILE, folder.parent / FILE) if path.is_file()), None)

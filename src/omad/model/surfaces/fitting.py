@@ -1,0 +1,190 @@
+"""Fitting a template's surface to a cloud.
+
+    sum over cloud and visible surface of rho(|point - nearest point of the other|^2)
+    + (x - x0)^T C^-1 (x - x0)      x: pose, joint states, beta; C as the fit to the keypoints left it, widened
+    + |e|^2 / own^2                 e: what of the keypoints beta cannot say
+
+A surface point is a weighted sum of keypoints (``template``), so its derivative is that of the keypoints. Gauss-Newton:
+the pairs of nearest points are found anew in each step. One object, camera frame, category units.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from scipy.spatial import KDTree
+
+from omad.common.arrays import as_doubles
+
+from ..fitting.energy import keypoint_jacobian
+from ..fitting.state import State
+from ..prior import OmadPrior
+from .placed import Floats, Placed, VisibleSurface
+from .template import Template
+
+
+@dataclass(frozen=True)
+class FitConfig:
+    """How a surface is fitted; lengths in category units."""
+
+    steps: int = 4
+    noise: float = 0.01
+    """Of a point, and of how far a template is from the true surface."""
+    cloud: float = 60.0
+    """As how many independent measurements all pairs of cloud and surface count."""
+    surface: float = 30.0
+    """The same of the pairs of visible surface and cloud."""
+    robust: float = 0.06
+    """Pairs farther apart hardly count."""
+    widened: float = 1.5
+    """By how much the standard deviations of the fit to the keypoints are widened."""
+    own: float = 0.02
+    """Standard deviation of ``e``."""
+    limit_sigma: float = 0.02
+    """Of joint states beyond their limits."""
+    pixels: int = 96
+    """Across the picture that says what is visible."""
+    most: int = 400
+    """Points of either kind that are paired."""
+
+
+@dataclass(frozen=True)
+class Cloud:
+    """What was seen of the object."""
+
+    points: Floats
+    """(N, 3)."""
+    labels: np.ndarray
+    """(N,) part of each."""
+    tree: KDTree
+    """Of the points."""
+
+    @classmethod
+    def of(cls, points: np.ndarray, labels: np.ndarray, most: int) -> Cloud | None:
+        """At most so many of points (N, 3), those with a part in ``labels`` (N,); None where none has."""
+        inside = np.random.default_rng(0).permutation(np.flatnonzero(labels >= 0))[:most]
+        if not len(inside):
+            return None
+        kept = points[inside].astype(np.float64)
+        return cls(kept, labels[inside], KDTree(kept))
+
+
+@dataclass(frozen=True)
+class _Pairs:
+    """Points of the cloud and of the visible surface that are nearest to each other."""
+
+    points: np.ndarray
+    """(P,) of the cloud."""
+    surface: np.ndarray
+    """(P,) of the visible surface."""
+    measurements: float
+    """As how many independent ones they count."""
+
+
+@dataclass(frozen=True)
+class SurfaceFit:
+    """Fits templates to one cloud."""
+
+    prior: OmadPrior
+    """In float64."""
+    limits: Floats
+    """(J, 2) of joint states."""
+    start: State
+    """A batch of one, float64: what was found before."""
+    precision: Floats
+    """(P, P) of it."""
+    cloud: Cloud
+    config: FitConfig = FitConfig()
+
+    @classmethod
+    def of(
+        cls, prior: OmadPrior, limits: Floats, start: State, covariance: Floats, cloud: Cloud, config: FitConfig
+    ) -> SurfaceFit:
+        """``covariance`` (P, P) of the unknowns, in ``state``'s order."""
+        widened = covariance * config.widened**2 + 1e-10 * np.eye(len(covariance))
+        precision = np.asarray(np.linalg.pinv(widened, hermitian=True), np.float64)
+        return cls(prior, limits, start, precision, cloud, config)
+
+    def begin(self) -> Placed:
+        """What was found before."""
+        still = np.zeros(len(self.precision)), np.zeros((self.prior.num_keypoints, 3))
+        return Placed.at(self.prior, self.start, *still)
+
+    def visible(self, placed: Placed, template: Template) -> VisibleSurface:
+        """What of a placed template the camera sees."""
+        return VisibleSurface.of(placed, template, self.cloud.points, self.config.pixels, self.config.noise)
+
+    def apart(self, placed: Placed, template: Template) -> float:
+        """Mean distance of cloud from visible surface plus that of visible surface from cloud; far points count as
+        ten times the noise."""
+        seen, far = self.visible(placed, template), 10 * self.config.noise
+        if not len(seen.points):
+            return 2 * far
+        both = KDTree(seen.points).query(self.cloud.points)[0], self.cloud.tree.query(seen.points)[0]
+        return float(sum(np.minimum(each, far).mean() for each in both))
+
+    def __call__(self, placed: Placed, template: Template) -> Placed:
+        """The template where it fits best, from where it is ``placed``."""
+        for _ in range(self.config.steps):
+            placed = self._step(placed, template)
+        return placed
+
+    def _step(self, placed: Placed, template: Template) -> Placed:
+        by_unknowns = as_doubles(keypoint_jacobian(self.prior, placed.state)[1])[0]
+        unknowns = len(placed.moved)
+        H = np.zeros((unknowns + placed.own.size,) * 2)
+        g = np.zeros(len(H))
+        H[:unknowns, :unknowns] = self.precision
+        g[:unknowns] = -self.precision @ placed.moved
+        own, states = np.arange(unknowns, len(H)), 6 + np.arange(len(self.limits))
+        H[own, own] = self.config.own**-2
+        g[own] = -placed.own.ravel() * self.config.own**-2
+        theta = placed.state.joint_states[0].numpy()
+        beyond = theta - theta.clip(*self.limits.T)
+        H[states, states] += (beyond != 0) / self.config.limit_sigma**2
+        g[states] -= beyond / self.config.limit_sigma**2
+        seen = self.visible(placed, template)
+        for pairs in self._pairs(seen):
+            jacobian, off = self._residuals(pairs, placed, template, seen, by_unknowns)
+            H += jacobian.T @ jacobian
+            g += jacobian.T @ off
+        step = np.linalg.solve(H + 1e-9 * np.diag(H.diagonal()), g)
+        moved, e = placed.moved + step[:unknowns], placed.own + step[unknowns:].reshape(-1, 3)
+        return Placed.at(self.prior, self.start.moved(torch.as_tensor(moved)[None]), moved, e)
+
+    def _pairs(self, seen: VisibleSurface) -> list[_Pairs]:
+        """Points of the cloud with the nearest ones of their own part; of the visible surface with any."""
+        cloud, config, of_cloud, of_surface = self.cloud, self.config, [], []
+        for part in np.unique(seen.parts):
+            points, surface = np.flatnonzero(cloud.labels == part), np.flatnonzero(seen.parts == part)
+            if len(points):
+                of_cloud.append(points)
+                of_surface.append(surface[KDTree(seen.points[surface]).query(cloud.points[points])[1]])
+        if not of_cloud:
+            return []
+        some = np.arange(0, len(seen.points), -(-len(seen.points) // config.most))
+        forth = _Pairs(np.concatenate(of_cloud), np.concatenate(of_surface), config.cloud)
+        return [forth, _Pairs(cloud.tree.query(seen.points[some])[1], some, config.surface)]
+
+    def _residuals(
+        self, pairs: _Pairs, placed: Placed, template: Template, seen: VisibleSurface, by_unknowns: Floats
+    ) -> tuple[Floats, Floats]:
+        """Weighted derivatives (3 n, P + 3 M) of the surface points, and how far off they are (3 n,)."""
+        config, count = self.config, len(pairs.points)
+        off = self.cloud.points[pairs.points] - seen.points[pairs.surface]
+        share = pairs.measurements / (count * config.noise**2)
+        root = np.sqrt(share) / (1 + np.square(off).sum(1, keepdims=True) / config.robust**2)  # Geman-McClure
+        unknowns, parts = by_unknowns.shape[2], seen.parts[pairs.surface]
+        jacobian = np.zeros((count, 3, unknowns + placed.own.size))
+        for number, part in enumerate(template.parts):
+            rows = np.flatnonzero(parts == number)
+            weights = part.samples.weights[seen.which[pairs.surface[rows]]]
+            own = by_unknowns[part.keypoints]
+            jacobian[rows, :, :unknowns] = np.tensordot(weights, own, 1)
+            rotation = placed.pose.T_camera_part[number, :3, :3]
+            by_own = weights[:, None, :, None] * rotation[:, None]
+            columns = slice(unknowns + 3 * part.keypoints.start, unknowns + 3 * part.keypoints.stop)
+            jacobian[rows, :, columns] = by_own.reshape(len(rows), 3, 3 * weights.shape[1])
+        return (root[..., None] * jacobian).reshape(3 * count, -1), (root * off).ravel()

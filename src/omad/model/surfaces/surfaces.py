@@ -1,0 +1,132 @@
+"""Surfaces of estimated objects: the bank's templates, chosen and fitted."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+import torch
+
+from omad.geometry.mesh import Mesh
+from omad.objects.category import Category
+from omad.objects.pose import ObjectPose
+
+from ..fitting.state import State
+from ..posed_object import PosedObject
+from ..prior import OmadPrior
+from .bank import ShapeBank, bank_beside
+from .fitting import Cloud, FitConfig, SurfaceFit
+from .placed import Placed
+
+
+@dataclass(frozen=True)
+class PosedSurface:
+    """Surfaces of an object's parts, and where the object is."""
+
+    parts: tuple[Mesh, ...]
+    """Canonical space at rest, metres."""
+    placed: ObjectPose
+    """Metres, camera frame."""
+
+    def posed(self) -> tuple[Mesh, ...]:
+        """Each part's surface where it is, camera frame."""
+        return tuple(part.carried(T) for part, T in zip(self.parts, self.placed.T_camera_part, strict=True))
+
+
+@dataclass(frozen=True)
+class SurfaceConfig:
+    """How surfaces are chosen."""
+
+    candidates: int = 24
+    """Objects with the nearest keypoints, that are held against the cloud."""
+    likeness: float = 0.2
+    """What the RMS distance of an object's own keypoints from the estimate's counts beside its distance from the
+    cloud: it speaks of what is hidden."""
+    fit: FitConfig = FitConfig()
+
+
+class Surfaces:
+    """Of one category's objects."""
+
+    def __init__(
+        self, prior: OmadPrior, category: Category, load: Callable[[], ShapeBank], config: SurfaceConfig | None = None
+    ) -> None:
+        """``load`` is called at the first use."""
+        self.category, self.config = category, config or SurfaceConfig()
+        self._prior, self._load = prior, load
+
+    @classmethod
+    def beside(cls, folder: Path, prior: OmadPrior, category: Category) -> Self | None:
+        """Those of a checkpoint's folder; None where it has no bank."""
+        path = bank_beside(folder)
+        return None if path is None else cls(prior, category, lambda: ShapeBank.load(path, category, prior))
+
+    @cached_property
+    def bank(self) -> ShapeBank:
+        """The objects that surfaces are taken from. Raises InputError for a file that is no bank of this prior."""
+        return self._load()
+
+    @cached_property
+    def _doubles(self) -> OmadPrior:
+        mine = OmadPrior(self.category, self._prior.basis_size, self._prior.joint_hidden.out_features).double()
+        mine.load_state_dict(self._prior.state_dict())
+        return mine.requires_grad_(False)
+
+    def of_keypoints(self, canonical_keypoints: np.ndarray) -> tuple[Mesh, ...]:
+        """Each part's surface (canonical space at rest, metres) for keypoints (M, 3), metres: that of the object with
+        the nearest ones, carried along."""
+        unit = self.category.metres_per_unit
+        keypoints = canonical_keypoints / unit
+        template = self.bank.template(self.bank.nearest(keypoints, 1)[0])
+        return _in_metres(template.at(keypoints), unit)
+
+    def of_beta(self, beta: np.ndarray) -> list[tuple[Mesh, ...]]:
+        """The same for shape parameters (B, D)."""
+        keypoints = self._doubles.keypoints(torch.as_tensor(np.asarray(beta, dtype=np.float64))).numpy()
+        return [self.of_keypoints(each) for each in keypoints * self.category.metres_per_unit]
+
+    def fitted(
+        self, found: PosedObject, covariance: np.ndarray, points: np.ndarray, labels: np.ndarray
+    ) -> PosedSurface:
+        """The surface of an object that was found in a cloud (N, 3), camera frame, metres, with parts ``labels`` (N,),
+        below zero where none. ``covariance`` (P, P) of what was found: metres and radians.
+
+        Objects with near keypoints are held against the cloud, and the best one is fitted to it, with pose and joint
+        states. Without any point of the object the nearest one is carried over."""
+        unit, config = self.category.metres_per_unit, self.config
+        cloud = Cloud.of(points / unit, labels, config.fit.most)
+        if cloud is None or not np.isfinite(covariance).all():
+            return PosedSurface(self.of_keypoints(found.canonical_keypoints), found.placed)
+        scale = np.concatenate([np.ones(3), np.full(3, unit), self.category.state_units, np.ones(len(found.beta))])
+        limits = np.array([joint.limits for joint in self.category.joints])
+        start = self._state(found)
+        fit = SurfaceFit.of(self._doubles, limits, start, covariance / scale[:, None] / scale, cloud, config.fit)
+        placed = fit.begin()
+        placed = fit(placed, self.bank.template(self.bank.nearest(placed.keypoints, 1)[0]))
+        near = self.bank.nearest(placed.keypoints, config.candidates)
+        unlike = np.sqrt(np.square(self.bank.keypoints[near] - placed.keypoints).sum(2).mean(1))
+        apart = [fit.apart(placed, self.bank.template(index)) for index in near]
+        best = self.bank.template(near[np.argmin(apart + config.likeness * unlike)])
+        placed = fit(placed, best)
+        return PosedSurface(_in_metres(best.at(placed.keypoints), unit), self._metric(placed))
+
+    def _state(self, found: PosedObject) -> State:
+        T = found.placed.T_camera_part[0].copy()
+        T[:3, 3] /= self.category.metres_per_unit
+        values = found.beta, found.placed.states / self.category.state_units, T
+        return State(*(torch.as_tensor(value, dtype=torch.float64)[None] for value in values))
+
+    def _metric(self, placed: Placed) -> ObjectPose:
+        unit, pose = self.category.metres_per_unit, placed.pose
+        T = pose.T_camera_part.copy()
+        T[:, :3, 3] *= unit
+        states = pose.states * self.category.state_units
+        return replace(pose, states=states, pivots=pose.pivots * unit, T_camera_part=T)
+
+
+def _in_metres(parts: tuple[Mesh, ...], unit: float) -> tuple[Mesh, ...]:
+    return tuple(part.warped(lambda vertices: vertices * unit) for part in parts)

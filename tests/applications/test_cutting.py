@@ -1,0 +1,95 @@
+"""The object found in a whole frame: rendered tables with truth, boxes around each object, and frames without one."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+import omad
+from omad.applications.detection.cutting import ObjectFinder, measured_margin
+from omad.applications.detection.detector import Detector
+from omad.common.errors import NothingSeen
+from omad.data.rendering.depth_noise import ON
+from omad.data.rendering.tabletop import Placed, Tabletop, draw_tabletop
+from omad.geometry.camera import STANDARD_CAMERA
+from omad.sensing.observation import Observation
+
+SCENES = range(3)
+
+
+@cache
+def finder(name: str) -> ObjectFinder:
+    return ObjectFinder(Detector([omad.Estimator.from_pretrained(name)]))
+
+
+@cache
+def scene(index: int) -> Tabletop:
+    return draw_tabletop(("laptop", "eyeglasses"), (index, 5), "test", ON)
+
+
+def frame(index: int) -> Observation:
+    drawn = scene(index)
+    return Observation.from_depth(drawn.depth, drawn.camera)
+
+
+def shared(seen: Observation, placed: Placed, measured: np.ndarray) -> float:
+    truth = placed.mask & measured
+    assert seen.mask is not None
+    return float((seen.mask & truth).sum() / (seen.mask | truth).sum())
+
+
+def box_around(placed: Placed) -> tuple[float, float, float, float]:
+    """With a tenth of its size to every side, so that table and neighbours are in it."""
+    rows, columns = np.nonzero(placed.mask)
+    wide, high = 0.1 * np.ptp(columns), 0.1 * np.ptp(rows)
+    return columns.min() - wide, rows.min() - high, columns.max() + 1 + wide, rows.max() + 1 + high
+
+
+def test_a_box_around_an_object_gives_that_object() -> None:
+    right = []
+    for index in SCENES:
+        drawn, whole = scene(index), frame(index)
+        for placed in drawn.objects:
+            if placed.category and placed.to_be_found:
+                found = finder(placed.category)(whole, box_around(placed))
+                right.append(shared(found, placed, drawn.depth > 0) > 0.7)
+    assert len(right) >= 5
+    assert sum(right) >= len(right) - 1
+
+
+def test_without_a_box_one_of_the_category_is_taken_and_others_are_told_of() -> None:
+    for index in SCENES:
+        drawn, whole = scene(index), frame(index)
+        for name in ("laptop", "eyeglasses"):
+            there = [placed for placed in drawn.objects if placed.category == name and placed.to_be_found]
+            if there:
+                found = finder(name)(whole)
+                assert max(shared(found, placed, drawn.depth > 0) for placed in there) > 0.5
+                told = any("more than one" in warning for warning in found.warnings)
+                assert told == (len(there) > 1)
+
+
+def test_where_there_is_none_it_is_said_with_a_cure() -> None:
+    for name in ("dishwasher", "scissors"):
+        with pytest.raises(NothingSeen, match=f"no {name}.*(mask|box).*omad detect"):
+            finder(name)(frame(0))
+    table = np.tile((1 / np.linspace(0.5, 1, 480, dtype=np.float32))[:, None], 640)
+    with pytest.raises(NothingSeen, match="nothing stands"):
+        finder("laptop")(Observation.from_depth(table, STANDARD_CAMERA))
+
+
+def test_an_object_that_was_cut_out_already_is_left_as_it_is() -> None:
+    placed = next(placed for placed in scene(0).objects if placed.category == "eyeglasses")
+    alone = Observation.from_depth(np.where(placed.mask, scene(0).depth, 0), scene(0).camera)
+    assert measured_margin(alone) < 0.1
+    assert finder("eyeglasses")(alone) is alone
+    x1, y1, x2, y2 = box = box_around(placed)
+    half = finder("eyeglasses")(alone, ((x1 + x2) / 2, y1, x2, y2))
+    expected = Observation.from_depth(alone.depth, scene(0).camera, box=((x1 + x2) / 2, y1, x2, y2))
+    assert np.array_equal(half.mask, expected.mask)
+    assert np.array_equal(half.points, expected.points)
+    assert len(finder("eyeglasses")(alone, box).points) == len(alone.points)
+    assert measured_margin(frame(0)) > 0.5
+    assert measured_margin(Observation.from_points(alone.points)) == 0

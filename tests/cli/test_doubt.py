@@ -1,0 +1,92 @@
+"""Doubtful answers on the command line: text, JSON, page, exit codes, none of the categories; training confidence."""
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from helpers.command_line import LAPTOP, K, answer, refused, save_png
+from helpers.confidences import always
+from omad.cli.main import run
+from omad.estimation.confidence.model import FILE, Confidence
+from omad.model.checkpoint import find_weights
+from omad.objects.category_file import get_category
+
+
+@pytest.fixture(autouse=True)
+def in_a_folder_of_its_own(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+def checkpoint(folder: str, probability: float | None) -> list[str]:
+    """Options for the laptop's weights, whose answers all have that probability."""
+    Path(folder).mkdir()
+    for name in ("config.json", "model.safetensors"):
+        shutil.copy(find_weights("laptop") / name, Path(folder) / name)
+    if probability is not None:
+        always(get_category("laptop"), 0.02, 0.1, probability).save(Path(folder))
+    return ["--weights", folder]
+
+
+def test_doubtful_answers_are_called_so_everywhere(capsys):
+    image, doubted = save_png("a.png"), checkpoint("doubted", 0.2)
+    command = ["estimate", image, *LAPTOP, *K, *doubted, "--formats", "ros"]
+    found = answer(capsys, *command)
+    assert (found["doubtful"], found["probability"]) == (True, pytest.approx(0.2))
+    assert answer(capsys, *command, "--strict", code=1)["doubtful"] is True
+    assert run(command) == 0
+    said = capsys.readouterr()
+    assert "right with probability 20%, doubtful" in said.out
+    assert "doubtful" in said.err
+    page = (Path(found["output"]) / "estimate.html").read_text()
+    assert '"probability":0.2,"doubtful":true' in page
+    assert json.loads((Path(found["output"]) / "ros.json").read_text())["probability"] == found["probability"]
+    shutil.copytree(".", "many/", ignore=shutil.ignore_patterns("many", "doubted", "omad-estimate"))
+    assert answer(capsys, "estimate", "many", *command[2:], "--strict", code=1)["results"][0]["doubtful"] is True
+
+
+def test_sure_answers_are_not(capsys):
+    image = save_png("a.png")
+    found = answer(capsys, "estimate", image, *LAPTOP, *K, *checkpoint("sure", 0.9), "--strict")
+    assert (found["doubtful"], found["probability"]) == (False, pytest.approx(0.9))
+    found = answer(capsys, "estimate", image, *LAPTOP, *K, *checkpoint("plain", None), "--strict")
+    assert (found["doubtful"], found["probability"]) == (False, None)
+
+
+def test_a_thing_may_be_of_none_of_the_categories(capsys, monkeypatch):
+    monkeypatch.setattr(Confidence, "load", lambda folder, category: always(category, 0.02, 0.1, 0.3))
+    command = ["estimate", save_png("a.png"), "--category", "auto", *K]
+    found = answer(capsys, *command)
+    assert (found["category"], found["doubtful"], found["joints"]) == (None, True, [])
+    assert found["probability"] == pytest.approx(0.3)
+    assert found["categories"][0]["category"] == "laptop"
+    written = json.loads((Path(found["output"]) / "estimate.json").read_text())
+    assert written == {key: value for key, value in found.items() if key not in ("input", "output")}
+    assert answer(capsys, *command, "--strict", code=1)["category"] is None
+    assert run(command) == 0
+    assert "none of the categories; likest: laptop" in capsys.readouterr().out
+    monkeypatch.setattr(Confidence, "load", lambda folder, category: always(category, 0.02, 0.1, 0.7))
+    assert answer(capsys, *command)["category"] == "laptop"
+
+
+@pytest.mark.slow
+def test_confidence_is_trained_into_the_checkpoint(capsys):
+    weights = checkpoint("own", None)
+    trained = ["train", "confidence", *LAPTOP, *weights, "--objects", "5"]
+    assert "give more" in refused(capsys, *trained, "--views", "8")
+    found = answer(capsys, *trained, "--views", "300")
+    assert found["checkpoint"] == "own"
+    assert 0.7 < found["covered_90"] <= 1
+    image = save_png("a.png")
+    first = answer(capsys, "estimate", image, *LAPTOP, *K, *weights)
+    assert first["probability"] > 0.5
+    kept = (Path("own") / FILE).read_text()
+    answer(capsys, *trained, "--views", "300")
+    assert (Path("own") / FILE).read_text() == kept
+    exported = answer(capsys, "export", *LAPTOP, *weights, "--output", "exported")
+    assert FILE in exported["files"]
+    second = answer(capsys, "estimate", image, *LAPTOP, *K, "--weights", "exported")
+    assert second["probability"] == pytest.approx(first["probability"])
+    (Path("own") / FILE).write_text("{")
+    assert str(Path("own") / FILE) in refused(capsys, "estimate", image, *LAPTOP, *K, *weights)

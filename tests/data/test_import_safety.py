@@ -1,0 +1,193 @@
+"""omad import with a stranger's files: nothing of anybody else's goes, nothing outside is opened, one bad model is
+left out."""
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from helpers.command_line import answer
+from helpers.own_models import microwave, write_microwaves
+from omad import get_category
+from omad.common.errors import InputError
+from omad.data.urdf_import.articulation import read_articulation
+from omad.data.urdf_import.importing import import_folder
+from omad.objects.urdf import write_urdf
+
+SPEC = Path(__file__).parents[2] / "docs" / "categories" / "microwave.toml"
+MICROWAVE = get_category(SPEC)
+BOX = '<visual><geometry><box size="1 1 1"/></geometry></visual>'
+
+
+@pytest.fixture(autouse=True)
+def elsewhere(tmp_path, monkeypatch):
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+
+
+@pytest.fixture
+def imported() -> Path:
+    write_microwaves(Path("models"), 2)
+    import_folder(Path("models"), MICROWAVE, Path("ours"))
+    return Path("ours/import.json")
+
+
+def edit(record: Path, change) -> None:
+    values = json.loads(record.read_text())
+    change(values)
+    record.write_text(json.dumps(values))
+
+
+@pytest.mark.parametrize("absolute", [False, True])
+@pytest.mark.parametrize("field", ["stamps", "written"])
+def test_a_record_that_names_another_folder_deletes_nothing(imported, field, absolute):
+    victim = Path("victim")
+    victim.mkdir()
+    (victim / "thesis.txt").write_text("years of work")
+    name = str(victim.resolve()) if absolute else "../victim"
+    edit(imported, lambda record: record[field].update({name: "0" if field == "stamps" else {"thesis.txt": "0"}}))
+    with pytest.raises(InputError, match=r"import\.json: .*victim"):
+        import_folder(Path("models"), MICROWAVE, Path("ours"))
+    assert (victim / "thesis.txt").read_text() == "years of work"
+
+
+@pytest.mark.parametrize("path", ["../../victim/thesis.txt", "/etc/hostname", "a/../../b", "", "a//b"])
+def test_a_record_that_names_files_outside_is_refused(imported, path):
+    edit(imported, lambda record: record["written"]["oven-0-0"].update({path: "0"}))
+    with pytest.raises(InputError, match="oven-0-0"):
+        import_folder(Path("models"), MICROWAVE, Path("ours"))
+
+
+def test_what_another_put_into_the_folder_stays(imported):
+    """Of a model that goes from the source, only the files go that the import wrote, as it wrote them."""
+    Path("ours/oven-0-1/notes.txt").write_text("mine")
+    Path("ours/mine").mkdir()
+    Path("ours/mine/mine.urdf").write_text("<robot/>")
+    edit(imported, lambda record: record["stamps"].update(mine="0"))
+    changed = Path("ours/oven-0-1/oven-0-1.urdf")
+    changed.write_text(changed.read_text() + "<!-- my own -->")
+    for name in ("oven-0-0", "oven-0-1"):
+        shutil.rmtree(Path("models") / name)
+    write_urdf(microwave("third"), "models/third/third.urdf")
+    import_folder(Path("models"), MICROWAVE, Path("ours"))
+    assert not Path("ours/oven-0-0").exists()
+    assert sorted(path.name for path in Path("ours/oven-0-1").rglob("*")) == ["notes.txt", "oven-0-1.urdf"]
+    assert Path("ours/mine/mine.urdf").exists()
+
+
+def test_nothing_is_written_or_deleted_through_a_link(imported, tmp_path):
+    outside = tmp_path / "outside"
+    shutil.move("ours/oven-0-0", outside)
+    Path("ours/oven-0-0").symlink_to(outside)
+    before = {path: path.read_bytes() for path in outside.rglob("*") if path.is_file()}
+    write_urdf(microwave("oven-0-0", width=0.6), "models/oven-0-0/oven-0-0.urdf")
+    found = import_folder(Path("models"), MICROWAVE, Path("ours"))
+    assert [refusal.name for refusal in found.refused] == ["oven-0-0"]
+    assert {path: path.read_bytes() for path in outside.rglob("*") if path.is_file()} == before
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("stamps", None), ("stamps", []), ("stamps", {"oven-0-0": 1}), ("notes", {"oven-0-0": None}), ("notes", []),
+        ("options", []), ("written", {"oven-0-0": []}), ("notes", {}),
+    ],
+)  # fmt: skip
+def test_a_broken_record_is_named(imported, field, value):
+    edit(imported, lambda record: record.update({field: value}))
+    if value == {}:
+        assert len(import_folder(Path("models"), MICROWAVE, Path("ours")).models) == 2
+    else:
+        with pytest.raises(InputError, match=r"import\.json: " + field):
+            import_folder(Path("models"), MICROWAVE, Path("ours"))
+
+
+def link(name: str, inside: str = BOX) -> str:
+    return f'<link name="{name}">{inside}</link>'
+
+
+def robot(*elements: str) -> str:
+    return '<robot name="r">' + "".join(elements) + "</robot>"
+
+
+def hinged(inside: str) -> str:
+    hinge = '<joint name="j" type="revolute"><parent link="a"/><child link="b"/>' + inside + "</joint>"
+    return robot(link("a"), link("b"), hinge)
+
+
+def shaped(shape: str) -> str:
+    return robot(link("a", f"<visual><geometry>{shape}</geometry></visual>"))
+
+
+BAD = {
+    "encoding": '<?xml version="1.0" encoding="foo"?><robot name="r"/>',
+    "wide encoding": '<?xml version="1.0" encoding="utf-32"?><robot name="r"/>',
+    "punycode": '<?xml version="1.0" encoding="punycode"?><robot name="r">\x80</robot>',
+    "axis": hinged('<axis xyz="1 0"/>'),
+    "far": hinged('<origin xyz="1e300 0 0"/>'),
+    "endless": hinged('<limit lower="0" upper="1e300"/>'),
+    "box": shaped('<box size="1 0"/>'),
+    "no size": shaped('<box size="1 0 1"/>'),
+    "scale": shaped('<mesh filename="a.obj" scale="1 0"/>'),
+    "long mesh": shaped(f'<mesh filename="{"x" * 5000}"/>'),
+    "entity": '<!DOCTYPE r [<!ENTITY a SYSTEM "file:///etc/hostname">]><robot name="&a;"/>',
+    "deep": "<robot>" + "<a>" * 100000 + "</a>" * 100000 + "</robot>",
+    "binary": "\0\1\2",
+}
+
+
+@pytest.mark.parametrize("text", BAD.values(), ids=BAD.keys())
+def test_a_bad_urdf_is_one_line(text, tmp_path):
+    file = tmp_path / "bad.urdf"
+    file.write_bytes(text.encode("latin-1"))
+    with pytest.raises(InputError, match=r"bad\.urdf: ") as caught:
+        read_articulation(file)
+    assert len(str(caught.value)) < 6000
+    assert "\n" not in str(caught.value)
+
+
+def test_one_bad_model_is_left_out_and_the_rest_imported(capsys):
+    write_microwaves(Path("models"), 2)
+    for name, text in BAD.items():
+        Path("models", name).mkdir()
+        Path("models", name, f"{name}.urdf").write_bytes(text.encode("latin-1"))
+    found = answer(capsys, "import", "models", "--category", str(SPEC), "--output", "ours")
+    assert found["used"] == ["oven-0-0", "oven-0-1"]
+    assert sorted(refusal["name"] for refusal in found["refused"]) == sorted(BAD)
+
+
+def secret_mesh(folder: Path) -> Path:
+    folder.mkdir(parents=True)
+    file = folder / "secret.obj"
+    file.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    return file
+
+
+def robot_with(filename: str) -> Path:
+    mesh = f'<visual><geometry><mesh filename="{filename}"/></geometry></visual>'
+    file = Path("models/robot/robot.urdf")
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_text(robot(link("a", mesh)))
+    return file
+
+
+def test_meshes_outside_of_the_models_folder_are_not_opened(tmp_path):
+    secret = secret_mesh(tmp_path / "private")
+    for name in (str(secret), "../../../private/secret.obj", f"file://{secret}", "package://private/secret.obj"):
+        file = robot_with(name)
+        with pytest.raises(InputError, match="missing"):
+            read_articulation(file)
+    assert len(read_articulation(file, mesh_folder=secret.parent).links[0].mesh.faces) == 1
+    Path("models/robot/link.obj").symlink_to(secret)
+    with pytest.raises(InputError, match="missing"):
+        read_articulation(robot_with("link.obj"))
+
+
+def test_a_ros_package_is_one_folder():
+    secret_mesh(Path("models/meshes"))
+    file = robot_with("package://models/meshes/secret.obj")
+    with pytest.raises(InputError, match="missing"):
+        read_articulation(file)
+    Path("models/package.xml").write_text("<package/>")
+    assert len(read_articulation(file).links[0].mesh.faces) == 1

@@ -1,0 +1,110 @@
+"""Arguments that are none are refused with what is wrong; forks of a process that has estimated estimate, too."""
+
+import multiprocessing
+import os
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+import torch
+
+from helpers.command_line import laptop_view
+from omad.common.errors import InputError
+from omad.estimation.estimator import Estimator, EstimatorConfig
+from omad.estimation.known import Known
+from omad.sensing.observation import Observation
+
+
+@cache
+def estimator() -> Estimator:
+    return Estimator.from_pretrained("laptop", "cpu")
+
+
+def with_point(value: float) -> Observation:
+    observation = laptop_view().observation()
+    points = observation.points.copy()
+    points[3, 1] = value
+    return replace(observation, points=points)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e30])
+def test_one_bad_observation_of_several_is_named(value):
+    good = laptop_view().observation()
+    with pytest.raises(InputError, match="observation 1: "):
+        estimator()([good, with_point(value), good])
+
+
+@pytest.mark.parametrize("value", [None, 3, [None], ["x"], [laptop_view]])
+def test_what_is_no_observation_is_named(value):
+    with pytest.raises(InputError, match="observation"):
+        estimator()(value)
+
+
+@pytest.mark.parametrize(
+    "known",
+    [Known(beta="x"), Known(beta=np.full(10, np.nan)), Known(beta=np.full(10, 1e30)), Known(joint_states=["x"]),
+     Known(joint_states=[np.inf]), Known(gravity=[0, 0, np.nan]), Known(gravity=[0, 0, 1e300])],
+)  # fmt: skip
+def test_what_cannot_be_known_is_refused(known):
+    with pytest.raises(InputError, match="known "):
+        estimator()(laptop_view().observation(), known)
+
+
+@pytest.mark.parametrize("settings", [{"samples": ()}, {"samples": (0,)}, {"batch": 0}, {"near_samples": 10**9}])
+def test_settings_that_cannot_be_are_refused(settings):
+    with pytest.raises(InputError, match="EstimatorConfig"):
+        EstimatorConfig(**settings)
+
+
+@pytest.mark.parametrize("outlier", [1e38, 1e6])
+def test_a_stray_point_beyond_all_measure_is_no_measurement(outlier):
+    points = laptop_view().observation().points.astype(np.float64)
+    found = Observation.from_points(np.concatenate([points, [[0, 0, outlier]]]))
+    assert len(found.points) == len(points)
+
+
+def test_an_image_of_one_row():
+    depth = np.ones((1, 400), np.float32)
+    assert len(Observation.from_depth(depth, (300, 300, 200, 0)).points) == 400
+
+
+def test_an_image_of_twelve_megapixels_is_thinned():
+    """To what a network can use; along both sides alike, and with the pixels that it is made of."""
+    depth = np.zeros((3000, 4000), np.float32)
+    depth[200:2900, 100:3900] = 1.5
+    K = (3800, 3800, 1999.5, 1499.5)
+    found = Observation.from_depth(depth, K)
+    assert 500_000 < len(found.points) <= 1_500_000
+    assert found.pixels is not None
+    assert found.mask is not None
+    assert found.mask.sum() == (depth > 0).sum()
+    column, row = found.pixels[1234]
+    ray = np.array([(column - 1999.5) / 3800, (row - 1499.5) / 3800, 1])
+    np.testing.assert_allclose(found.points[1234], 1.5 * ray, rtol=1e-5)
+    table = Observation.from_depth(depth, K, box=(1000, 1000, 1100, 1100))
+    assert len(table.points) == 10_000
+
+
+def _answer(pipe) -> None:
+    pipe.send(estimator()(laptop_view().observation()).joint_states)
+
+
+@pytest.mark.skipif("fork" not in multiprocessing.get_all_start_methods(), reason="needs fork")
+def test_a_fork_estimates_where_its_parent_used_threads():
+    threads = torch.get_num_threads()
+    torch.set_num_threads(2)
+    try:
+        expected = estimator()(laptop_view().observation()).joint_states
+        torch.ones(2_000_000).exp()  # so that there are threads
+        ours, theirs = multiprocessing.Pipe()
+        child = multiprocessing.get_context("fork").Process(target=_answer, args=(theirs,))
+        child.start()
+        try:
+            assert ours.poll(120), "the fork hangs"
+            np.testing.assert_allclose(ours.recv(), expected, atol=1e-5)
+        finally:
+            os.kill(child.pid or 0, 9)
+            child.join()
+    finally:
+        torch.set_num_threads(threads)

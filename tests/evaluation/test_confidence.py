@@ -1,0 +1,146 @@
+"""Fitting confidence, on numbers whose distribution is known, and the views that it is fitted to."""
+
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.stats import mannwhitneyu, norm
+
+from helpers.categories import DRAWER, LAPTOP
+from omad.common.errors import InputError
+from omad.data.procedural import generate
+from omad.data.rendering.spoils.spoil import Spoil
+from omad.estimation.confidence.model import Confidence, FittedTo, deviations
+from omad.estimation.confidence.signals import IMAGE, JOINT, Signals
+from omad.evaluation.calibration import area_under_roc, expected_calibration_error
+from omad.evaluation.confidence.fitting import Answers, fit, measured
+from omad.evaluation.confidence.views import HEAPS, OTHERS, examples, thinned_spoil
+
+VIEWS = 2000
+TO_TEST = FittedTo("tests", VIEWS, "0")
+
+
+def answers(seed: int, half_turned: float = 0.0) -> tuple[Answers, np.ndarray]:
+    """Answers whose errors are normal with a deviation that one signal tells, some of them ``half_turned`` where
+    another one says so; and the true probabilities of being right, (N,)."""
+    rng = np.random.default_rng(seed)
+    image, joint = rng.normal(size=(VIEWS, len(IMAGE))), rng.normal(size=(VIEWS, 1, len(JOINT)))
+    errors = np.abs(rng.normal(size=VIEWS)) * np.exp(-3 + 0.7 * joint[:, 0, 0])
+    turned = (rng.random(VIEWS) < half_turned) & (image[:, 3] > 0)
+    errors = np.where(turned, rng.uniform(1.0, 2.0, VIEWS), errors)
+    likely = 1 / (1 + np.exp(-(0.5 + 2.0 * image[:, 1])))
+    return Answers(Signals(image, joint), errors[:, None], rng.random(VIEWS) < likely), likely
+
+
+@pytest.fixture(scope="module")
+def fitted() -> Confidence:
+    return fit(answers(0)[0], LAPTOP, TO_TEST)
+
+
+def test_intervals_of_unseen_answers_hold_as_often_as_they_say(fitted: Confidence) -> None:
+    unseen, _ = answers(1)
+    std, tail = fitted.spreads(unseen.signals, LAPTOP)
+    told = unseen.signals.joint[:, 0, 0]
+    for some in (told < -0.5, np.abs(told) < 0.5, told > 0.5):
+        for level in (0.5, 0.9):
+            held = unseen.errors[some, 0] <= (std * deviations(level) ** tail)[some, 0]
+            assert held.mean() == pytest.approx(level, abs=0.06)
+    # the fit finds the deviations, and that the errors are normal
+    assert np.log(std[:, 0]) == pytest.approx(-3 + 0.7 * told, abs=0.7)
+    assert np.corrcoef(np.log(std[:, 0]), told)[0, 1] > 0.98
+    assert np.median(tail) == pytest.approx(1, abs=0.15)
+
+
+@pytest.mark.slow
+def test_a_chance_of_a_half_turn_widens_the_upper_interval_alone() -> None:
+    seen, _ = answers(0, half_turned=0.3)
+    sure = fit(seen, LAPTOP, TO_TEST)
+    unseen, _ = answers(1, half_turned=0.3)
+    std, tail = sure.spreads(unseen.signals, LAPTOP)
+    half = {level: (std * deviations(level) ** tail)[:, 0] for level in (0.5, 0.9)}
+    may_turn = unseen.signals.image[:, 3] > 0.5
+    assert np.median(half[0.9][may_turn]) > 0.7
+    assert np.median(half[0.5][may_turn]) < 0.2
+    assert np.median(half[0.9][unseen.signals.image[:, 3] < -0.5]) < 0.3
+    assert (unseen.errors[may_turn, 0] <= half[0.9][may_turn]).mean() == pytest.approx(0.9, abs=0.06)
+
+
+def test_probabilities_are_those_that_answers_were_drawn_with(fitted: Confidence) -> None:
+    unseen, likely = answers(1)
+    told = fitted.probabilities(unseen.signals)
+    assert np.abs(told - likely).mean() < 0.05
+    assert expected_calibration_error(told, unseen.right) < 0.05
+    found = measured(fitted, unseen, LAPTOP)
+    assert found["area_under_roc"] == pytest.approx(area_under_roc(likely, unseen.right), abs=0.02)
+    assert found["right"] == unseen.right.mean()
+    assert (found["covered_50"], found["covered_90"]) == pytest.approx((0.5, 0.9), abs=0.04)
+
+
+@pytest.mark.slow
+def test_other_things_count_for_the_probability_alone() -> None:
+    seen, _ = answers(0)
+    other = np.arange(VIEWS) % 4 == 0
+    seen = Answers(seen.signals, np.where(other[:, None], np.nan, seen.errors), seen.right & ~other)
+    assert fit(seen, LAPTOP, TO_TEST).errors(np.zeros(len(IMAGE) + len(JOINT) + 1))[0] == pytest.approx(
+        -3 + np.log(norm.isf(0.25)), abs=0.2
+    )
+    few = Answers(seen.signals, np.where(np.arange(VIEWS)[:, None] < 100, seen.errors, np.nan), seen.right)
+    with pytest.raises(InputError, match=r"views: 75 of them .* give more"):
+        fit(few, LAPTOP, TO_TEST)
+
+
+def test_a_fit_can_be_kept(fitted: Confidence, tmp_path: Path) -> None:
+    (tmp_path / "model.safetensors").write_bytes(b"weights")
+    fitted.save(tmp_path)
+    assert Confidence.load(tmp_path, LAPTOP) == fitted
+    assert (tmp_path / "confidence.json").stat().st_size < 100_000
+
+
+def test_calibration_error_and_area_of_closed_forms() -> None:
+    told, right = np.array([0.95, 0.95, 0.15, 0.15, 1.0]), np.array([True, False, False, False, True])
+    assert expected_calibration_error(told, right) == pytest.approx((abs(0.95 * 2 + 1 - 2) + 0.3) / 5)
+    rng = np.random.default_rng(0)
+    told, right = rng.integers(0, 20, 500) / 20, rng.random(500) < 0.4
+    expected = mannwhitneyu(told[right], told[~right]).statistic / (right.sum() * (~right).sum())
+    assert area_under_roc(told, right) == pytest.approx(expected)
+    assert np.isnan(area_under_roc(told, np.ones(500, dtype=bool)))
+    drawn = rng.random(100_000)
+    assert expected_calibration_error(drawn, rng.random(100_000) < drawn) < 0.01
+
+
+def test_training_views_are_repeatable_and_of_many_kinds() -> None:
+    models = [generate(LAPTOP, index, "train", 1) for index in range(3)]
+    shown = list(examples(models, LAPTOP, 12, 0))
+    again = list(examples(models, LAPTOP, 12, 0))
+    for one, other in zip(shown, again, strict=True):
+        assert np.array_equal(one.view.depth, other.view.depth)
+    kinds = Counter(example.of_category for example in shown)
+    assert kinds[True] > kinds[False] > 0
+    assert 0 < HEAPS < OTHERS < 0.5
+    assert all(example.view.truth.name in {model.name for model in models} for example in shown if example.of_category)
+
+
+def test_spoils_are_from_none_to_all() -> None:
+    rng = np.random.default_rng(0)
+    counts = [sum(v != d for v, d in zip(vars(thinned_spoil(rng)).values(), vars(Spoil()).values(), strict=True))
+              for _ in range(200)]  # fmt: skip
+    assert min(counts) == 0
+    assert max(counts) >= 6
+    assert 1 < np.mean(counts) < 5
+
+
+def test_a_stretched_object_is_stretched_along_with_its_joints() -> None:
+    model, factors = generate(DRAWER, 0, "train", 1), np.array([1.5, 0.8, 1.2])
+    longer = model.stretched(factors)
+    assert longer.part_boxes() == pytest.approx(model.part_boxes() * factors)
+    assert longer.axes == pytest.approx(model.axes)
+    assert longer.limits == pytest.approx(model.limits * 1.2)  # along z
+    states = 0.5 * model.limits.sum(1)
+    for part, (one, other) in enumerate(
+        zip(model.posed_vertices(states), longer.posed_vertices(states * 1.2), strict=True)
+    ):
+        assert other == pytest.approx(one * factors), part
+    laptop = generate(LAPTOP, 0, "train", 1)
+    assert laptop.stretched(factors).limits == pytest.approx(laptop.limits)
+    assert laptop.stretched(factors).pivots == pytest.approx(laptop.pivots * factors)

@@ -1,0 +1,139 @@
+"""Surfaces that follow keypoints: exact where they must be, and nearer to what was seen once they are fitted."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial.transform import Rotation
+
+from omad.common.errors import InputError
+from omad.data.procedural import generate
+from omad.data.surface_bank import SurfaceBank
+from omad.geometry.closest import Surface
+from omad.geometry.mesh import merge_meshes
+from omad.model.checkpoint import find_weights, load, shipped_categories
+from omad.model.fitting.state import State
+from omad.model.object_prior import object_keypoints
+from omad.model.omadnet import OmadNet
+from omad.model.priornet import PriorNet
+from omad.model.surfaces.bank import FILE, ShapeBank
+from omad.model.surfaces.fitting import Cloud, FitConfig, SurfaceFit
+from omad.model.surfaces.placed import Placed, VisibleSurface
+from omad.model.surfaces.surfaces import Surfaces
+from omad.model.surfaces.template import Skin
+from omad.training.train_surfaces import surface_bank
+
+
+@pytest.fixture(scope="module")
+def laptop():
+    net = load(OmadNet, find_weights("laptop"))
+    return net, Surfaces.beside(find_weights("laptop"), net.prior, net.category)
+
+
+def test_a_skin_follows_shifts_exactly_and_stretches_nearly():
+    rng = np.random.default_rng(0)
+    points, keypoints = rng.normal(size=(50, 3)), rng.normal(size=(12, 3))
+    skin = Skin.of(points, keypoints)
+    assert np.allclose(skin.weights.sum(1), 1)
+    assert np.allclose(skin.at(keypoints), points)
+    assert np.allclose(skin.at(keypoints + [1.0, -2.0, 3.0]), points + [1.0, -2.0, 3.0])
+    stretch = np.eye(3) + 0.1 * rng.normal(size=(3, 3))
+    error = np.linalg.norm(skin.at(keypoints @ stretch.T) - points @ stretch.T, axis=1)
+    assert error.max() < 0.03 * np.linalg.norm(points @ stretch.T - points, axis=1).max()  # the ridge's share
+
+
+def test_a_skin_keeps_its_thickness_where_keypoints_lie_in_a_plane():
+    flat = np.random.default_rng(1).normal(size=(10, 3)) * [1.0, 1.0, 0.0]
+    skin = Skin.of(np.array([[0.0, 0.0, 0.1]]), flat)
+    assert np.allclose(skin.at(1.2 * flat)[0, 2], 0.1)
+
+
+def test_a_template_at_its_own_keypoints_is_the_object(laptop):
+    net, surfaces = laptop
+    unit, bank = net.category.metres_per_unit, surfaces.bank
+    own = bank.template(5).at(bank.keypoints[5].astype(float))
+    for mesh, part in zip(own, generate(net.category, 5).parts, strict=True):
+        assert np.allclose(mesh.vertices * unit, part.vertices)
+        assert np.array_equal(mesh.faces, part.faces)
+
+
+@pytest.mark.parametrize("name", shipped_categories())
+def test_shipped_banks_are_of_the_shipped_priors_and_generators(name):
+    folder = find_weights(name)
+    net, prior = load(PriorNet, folder / "prior"), load(OmadNet, folder).prior
+    bank = ShapeBank.load(folder / FILE, net.category, prior)
+    models = [generate(net.category, index) for index in range(3)]
+    found = object_keypoints(net, SurfaceBank.from_models(models, net.category)).numpy()
+    assert np.allclose(bank.keypoints[:3], found, atol=2e-3), "omad train surface was not run after a change"
+
+
+def test_a_bank_of_foreign_models_keeps_their_meshes(tmp_path, laptop):
+    net, _ = laptop
+    models = [generate(net.category, index, "test") for index in range(2)]
+    priornet = load(PriorNet, find_weights("laptop") / "prior")
+    path = surface_bank(priornet, models, generated=False).save(tmp_path)
+    surfaces = Surfaces.beside(tmp_path, net.prior, net.category)
+    assert surfaces is not None
+    keypoints = surfaces.bank.keypoints[1] * net.category.metres_per_unit
+    for mesh, part in zip(surfaces.of_keypoints(keypoints), models[1].parts, strict=True):
+        assert np.allclose(mesh.vertices, part.vertices, atol=1e-4)
+    other = load(OmadNet, find_weights("scissors"))
+    with pytest.raises(InputError, match=r"another prior.*omad train surface"):
+        ShapeBank.load(path, other.category, other.prior)
+    path.write_bytes(b"no archive")
+    with pytest.raises(InputError, match=r"surfaces\.npz: damaged"):
+        ShapeBank.load(path, net.category, net.prior)
+
+
+def test_surfaces_of_betas(laptop):
+    net, surfaces = laptop
+    unit, betas = net.category.metres_per_unit, net.prior.beta_mean.numpy() + [np.zeros(10), np.eye(10)[1]]
+    keypoints = net.prior.keypoints(torch.as_tensor(betas, dtype=torch.float32)).numpy()
+    for parts, points in zip(surfaces.of_beta(betas), keypoints, strict=True):
+        assert len(parts) == len(net.category.parts)
+        surface = Surface.of(merge_meshes(parts).triangles / unit, 5000, np.random.default_rng(0))
+        assert surface.distances(points).mean() < 0.05  # keypoints lie on surfaces, or between two sides of a thin part
+
+
+def seen_of(placed: Placed, template) -> Cloud:
+    visible = VisibleSurface.of(placed, template, placed.keypoints + [0, 0, 4.0], 96, 0.01)
+    return Cloud.of(visible.points, visible.parts, 300)
+
+
+def test_a_fit_finds_the_pose_and_joint_state_again(laptop):
+    net, surfaces = laptop
+    prior, template, joints = surfaces._doubles, surfaces.bank.template(3), len(net.category.joints)
+    beta = prior.encode(torch.as_tensor(surfaces.bank.keypoints[3:4], dtype=torch.float64))
+    pose = torch.eye(4, dtype=torch.float64)
+    pose[:3, :3] = torch.as_tensor(Rotation.from_euler("xy", [205.0, 20.0], degrees=True).as_matrix())
+    pose[2, 3] = 4.0
+    truth = State(beta, torch.full((1, joints), 0.2, dtype=torch.float64), pose[None])
+    still = np.zeros(6 + joints + prior.basis_size), np.zeros((prior.num_keypoints, 3))
+    cloud = seen_of(Placed.at(prior, truth, *still), template)
+    step = np.concatenate([[0.03, -0.02, 0.03], [0.02, 0.03, -0.03], np.full(joints, 0.06), np.zeros(prior.basis_size)])
+    start = truth.moved(torch.as_tensor(step)[None])
+    covariance = np.diag(np.concatenate([np.full(6, 0.03**2), np.full(joints, 0.06**2), np.full(10, 0.05**2)]))
+    limits = np.array([joint.limits for joint in net.category.joints])
+    fit = SurfaceFit.of(prior, limits, start, covariance, cloud, replace(FitConfig(), steps=8))
+    before, after = fit.begin(), fit(fit.begin(), template)
+    assert fit.apart(after, template) < 0.5 * fit.apart(before, template)
+
+    def off(placed: Placed) -> np.ndarray:
+        moved = placed.pose.T_camera_part[0] @ np.linalg.inv(pose.numpy())
+        turn = Rotation.from_matrix(moved[:3, :3]).magnitude()
+        return np.array([turn, abs(float(placed.state.joint_states[0, 0]) - 0.2)])
+
+    assert (off(after) < 0.5 * off(before)).all()
+
+
+def test_without_points_the_surface_is_that_of_the_keypoints(laptop):
+    net, surfaces = laptop
+    mean = net.prior.keypoints(net.prior.beta_mean[None])[0].numpy() * net.category.metres_per_unit
+
+    class Found:
+        canonical_keypoints, placed, beta = mean, None, net.prior.beta_mean.numpy()
+
+    fitted = surfaces.fitted(Found, np.eye(17), np.zeros((0, 3)), np.zeros(0, int))
+    for mesh, expected in zip(fitted.parts, surfaces.of_keypoints(mean), strict=True):
+        assert np.array_equal(mesh.vertices, expected.vertices)

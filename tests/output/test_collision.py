@@ -1,0 +1,96 @@
+"""Bodies for simulators: convex, hollow, and apart in every state; held to SciPy's linear programming."""
+
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.optimize import linprog
+from scipy.spatial import ConvexHull
+
+from omad.data.procedural import generate
+from omad.geometry.convex import ConvexBody, convex_bodies, overlap
+from omad.geometry.mesh import Mesh, merge_meshes
+from omad.objects.category_file import get_category
+from omad.objects.urdf import write_urdf
+from omad.output.collision import collision_bodies
+
+
+def touch(one: np.ndarray, other: np.ndarray) -> bool:
+    """Whether two convex hulls of points (N, 3) have a point in common."""
+    planes = np.concatenate([ConvexHull(points).equations for points in (one, other)])
+    found = linprog(np.zeros(3), planes[:, :3], -planes[:, 3], bounds=(None, None))
+    return found.status == 0
+
+
+def solid(made: trimesh.Trimesh) -> Mesh:
+    return Mesh(np.asarray(made.vertices, np.float64), np.asarray(made.faces, np.int64))
+
+
+def test_bodies_that_a_face_separates_do_not_overlap():
+    rng, agreed = np.random.default_rng(0), 0
+    for _ in range(60):
+        one, other = rng.normal(size=(10, 3)), rng.normal(size=(10, 3)) + rng.normal(size=3) * 1.5
+        apart = overlap(ConvexBody.around(one), ConvexBody.around(other), 0.0) is None
+        assert not (apart and touch(one, other))
+        agreed += apart != touch(one, other)
+    assert agreed > 50  # in the rest an edge separates from an edge
+
+
+def test_a_cut_keeps_one_side():
+    box = ConvexBody.around(np.array(np.meshgrid([0, 2.0], [0, 1.0], [0, 1.0])).reshape(3, -1).T)
+    left = box.cut(np.array([1.0, 0, 0]), 0.5)
+    assert left is not None
+    assert left.volume == pytest.approx(1.5)
+    assert left.vertices[:, 0].min() == pytest.approx(0.5)
+    assert box.cut(np.array([1.0, 0, 0]), -1.0) is box
+    assert box.cut(np.array([1.0, 0, 0]), 2.5) is None
+
+
+def test_a_ring_stays_open_and_details_are_left_out():
+    ring = solid(trimesh.creation.torus(1.0, 0.1, 32, 16))
+    bodies = convex_bodies(merge_meshes([ring]), 0.0)
+    assert 4 < len(bodies) <= 16
+    assert not any(body.holds(np.zeros((1, 3)), 0.0) for body in bodies)
+    plate, key = trimesh.creation.box([1, 1, 0.1]), trimesh.creation.box([0.1, 0.1, 0.12])
+    both = merge_meshes([solid(plate), solid(key)])
+    assert [len(convex_bodies(both, flush)) for flush in (0.02, 0.0)] == [1, 2]
+
+
+@pytest.mark.parametrize("name", ["laptop", "dishwasher", "drawer", "scissors"])
+def test_parts_never_touch(name):
+    model = generate(get_category(name), 1, "test")
+    bodies, rng = collision_bodies(model), np.random.default_rng(0)
+    for states in [np.clip(0, *model.limits.T), *model.limits.T, *(rng.uniform(*model.limits.T) for _ in range(3))]:
+        placed = [
+            [body.carried(T) for body in of_part]
+            for of_part, T in zip(bodies, model.part_transforms(states), strict=True)
+        ]
+        for k, second in enumerate(placed):
+            for first in placed[:k]:
+                for a in first:
+                    near = [b for b in second if overlap(a, b, 0.0) is not None]
+                    assert not any(touch(a.vertices, b.vertices) for b in near)
+    kept = [sum(body.volume for body in of_part) for of_part in bodies]
+    whole = [sum(body.volume for body in convex_bodies(part, 0.008 * model.diagonal)) for part in model.parts]
+    assert (np.array(kept) > 0.6 * np.array(whole)).all()
+
+
+def test_a_cabinet_is_hollow():
+    model = generate(get_category("drawer"), 1, "test")
+    cabinet, drawers = collision_bodies(model)[0], model.parts[1:]
+    for drawer in drawers:
+        middle = drawer.vertices.mean(0)[None] - [[0.0, 0.0, 0.2 * model.diagonal]]
+        assert not any(body.holds(middle, 0.0) for body in cabinet)
+
+
+def test_the_urdf_has_a_collision_a_body(tmp_path):
+    model = generate(get_category("laptop"), 1, "test")
+    bodies = [[body.mesh for body in of_part] for of_part in collision_bodies(model)]
+    root = ElementTree.parse(write_urdf(model, tmp_path / "object.urdf", bodies)).getroot()
+    for link, of_part in zip(root.findall("link"), bodies, strict=True):
+        files = [element.find("geometry/mesh").get("filename") for element in link.findall("collision")]
+        assert len(link.findall("visual")) == 1
+        assert len(files) == len(set(files)) == len(of_part)
+        loaded = [trimesh.load(tmp_path / file, process=False) for file in files]
+        assert all(mesh.is_convex for mesh in loaded)

@@ -1,0 +1,31 @@
+"""Steadied depth, against the plainest mean over neighbours of one surface."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from omad.geometry.camera import STANDARD_CAMERA
+from omad.sensing.observation import Observation
+from omad.sensing.steadying import JUMP, REACH, steadied
+
+
+def test_depth_is_the_mean_of_the_surface_around_it() -> None:
+    rng = np.random.default_rng(0)
+    depth = np.zeros((480, 640), np.float32)
+    depth[100:140, 200:240] = 1 + rng.normal(0, 0.005, (40, 40))
+    depth[100:140, 240:270] = 1.5 + rng.normal(0, 0.005, (40, 30))
+    depth[0:6, 0:10] = 2.0
+    depth[rng.random(depth.shape) < 0.1] = 0
+    seen = Observation.from_depth(depth, STANDARD_CAMERA)
+    steady = steadied(seen)
+    assert seen.pixels is not None
+    assert np.allclose(STANDARD_CAMERA.project(steady.points), seen.pixels, atol=1e-2)
+    for point, (column, row) in zip(steady.points, seen.pixels, strict=True):
+        around = depth[max(row - REACH, 0) : row + REACH + 1, max(column - REACH, 0) : column + REACH + 1]
+        same = around[np.abs(around - depth[row, column]) < JUMP * depth[row, column]]
+        assert np.isclose(point[2], same.mean(), rtol=1e-5)
+
+
+def test_a_cloud_has_no_neighbours() -> None:
+    cloud = Observation.from_points(np.random.default_rng(0).normal(size=(100, 3)) + (0, 0, 5))
+    assert steadied(cloud) is cloud
