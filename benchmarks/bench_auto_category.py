@@ -3,7 +3,8 @@
     OMP_NUM_THREADS=1 python benchmarks/bench_auto_category.py [--models FOLDER] [--views 20] [--fit]
 
 Views are standard ones with camera noise, of procedural test objects, and of the models in ``FOLDER/<category>/`` where
-one is given. ``--fit`` works on objects of the training split instead and prints the weights for ``auto_category.py``.
+one is given. ``--fit`` works on objects of the training split instead and prints the weights for
+``category_ranking.py``.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from tqdm import tqdm
 from omad.data.rendering.depth_noise import LEVELS
 from omad.data.rendering.standard_views import standard_view
 from omad.data.source import load_models
-from omad.estimation.category_ranking import LOG_ODDS
+from omad.estimation.category_ranking import LOG_ODDS, against
 from omad.estimation.estimator import Estimator
 from omad.estimation.evidence import Evidence, measure_evidence
 from omad.model.checkpoint import shipped_categories
@@ -28,7 +29,7 @@ from omad.sensing.observation import Observation
 
 OBJECTS = 10
 """Procedural ones a category; of a folder all are taken."""
-FIELDS = [field.name for field in fields(Evidence)]
+FIELDS = [*(field.name for field in fields(Evidence)), "in_front", "behind", "missing"]
 RIDGE = 1e-3
 """Keeps weights finite where the views are told apart without error."""
 
@@ -53,7 +54,7 @@ class Look:
     source: str
     truth: int
     evidence: np.ndarray
-    """(C, 5)."""
+    """(C, 8)."""
 
 
 def looks(config: Config, estimators: list[Estimator], source: str, truth: int) -> list[Look]:
@@ -72,7 +73,10 @@ def looks(config: Config, estimators: list[Estimator], source: str, truth: int) 
             source,
             truth,
             np.stack(
-                [measure_evidence(observation, found[i], estimator.net.prior).values for estimator, found in answers]
+                [
+                    against(observation, found[i], measure_evidence(observation, found[i], estimator.net.prior))
+                    for estimator, found in answers
+                ]
             ),
         )
         for i, observation in enumerate(seen)
@@ -80,7 +84,7 @@ def looks(config: Config, estimators: list[Estimator], source: str, truth: int) 
 
 
 def fitted(found: list[Look]) -> np.ndarray:
-    """Weights (5,), none negative, under which the true categories are likeliest."""
+    """Weights (8,), none negative, under which the true categories are likeliest."""
     evidence, truth = np.stack([look.evidence for look in found]), np.array([look.truth for look in found])
     spread = evidence.std((0, 1))
 
@@ -96,7 +100,7 @@ def confusion(found: list[Look], names: list[str], weights: np.ndarray) -> str:
     """Rows: true categories; columns: those found."""
     count = np.zeros((len(names), len(names)), dtype=int)
     for look in found:
-        count[look.truth, (look.evidence @ weights).argmin()] += 1
+        count[look.truth, np.nan_to_num(look.evidence @ weights, nan=np.inf).argmin()] += 1
     lines = ["| true \\ found | " + " | ".join(names) + " |", "|---" * (len(names) + 1) + "|"]
     lines += [f"| {name} | " + " | ".join(map(str, row)) + " |" for name, row in zip(names, count, strict=True)]
     return "\n".join([*lines, f"right: {np.trace(count)} of {count.sum()}"])

@@ -53,7 +53,7 @@ def measured(config: Config, category: str, source: str, noisy: bool, views: int
     file = config.cache / f"{category}-{kind}-{'on' if noisy else 'off'}-{views}.json"
     if not file.is_file():
         print(f"{category}, {kind}, noise {'on' if noisy else 'off'}", file=sys.stderr)
-        data = Views(source=source, views=views, depth_noise=noisy)
+        data = Views(source=source, views=views, depth_noise="on" if noisy else "off")
         answer = EvalPose(category=category, data=data).run().record
         make_folder(config.cache)
         write_atomic(file, lambda path: path.write_text(json.dumps(answer)))

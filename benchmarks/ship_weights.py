@@ -14,12 +14,9 @@ from pathlib import Path
 
 import torch
 import tyro
-from safetensors.torch import load_file, save_file
+from safetensors.torch import load_file
 
-from omad.common.files import write_atomic
-from omad.model.checkpoint import WEIGHTS
-
-MADE = ("config.json", "model.safetensors")
+from omad.model.checkpoint import WEIGHTS, write_tensors
 
 
 def main(run: tyro.conf.Positional[Path], prior: tyro.conf.Positional[Path]) -> None:
@@ -27,10 +24,10 @@ def main(run: tyro.conf.Positional[Path], prior: tyro.conf.Positional[Path]) -> 
     tensors = load_file(run / "model.safetensors")
     # the prior's own numbers stay exact: they are compared with those in its folder
     halved = {name: value if name.startswith("prior.") else value.to(torch.half) for name, value in tensors.items()}
-    write_atomic(folder / "model.safetensors", lambda path: save_file(halved, path))
+    write_tensors(halved, folder)
     shutil.copy(run / "config.json", folder / "config.json")
-    for name in MADE:
-        shutil.copy(prior / name, folder / "prior" / name)
+    write_tensors(load_file(prior / "model.safetensors"), folder / "prior")
+    shutil.copy(prior / "config.json", folder / "prior" / "config.json")
     (folder / "confidence.json").unlink(missing_ok=True)
 
 

@@ -46,7 +46,7 @@ def state_deg(estimate: dict) -> float:
 def test_estimate_keeps_its_promise(capsys):
     found = answer(capsys, "estimate", save_png("a.png"), *LAPTOP, *K)
     promised = "category converged residual beta T_camera_base joints parts keypoints initial seconds warnings checks"
-    assert set(promised.split()) | {"input", "output", "probability", "doubtful"} == set(found)
+    assert set(promised.split()) | {"input", "output", "probability", "doubtful", "mirrored"} == set(found)
     joint = found["joints"][0]
     promised = "name type state state_std interval_50 interval_90 limits fraction axis pivot"
     assert set(joint) == set(promised.split())
@@ -210,7 +210,7 @@ def errors_have_the_promised_keys(errors: dict, revolute: list[bool], parts: int
 @pytest.mark.parametrize(("category", "revolute"), [("laptop", [True]), ("drawer", [False] * 3)])
 def test_pose_evaluation_keeps_its_promise(category, revolute, capsys):
     arguments = ["eval", "pose", "--category", category, "--objects", "2", "--views", "4"]
-    found = answer(capsys, *arguments, "--depth-noise", "--seed", "3", "--pictures", "worst")
+    found = answer(capsys, *arguments, "--depth-noise", "on", "--seed", "3", "--pictures", "worst")
     promised = "category source objects views failures metres_per_unit initial refined by_object seconds"
     assert set(promised.split()) <= set(found)
     assert (found["category"], found["source"], found["objects"], found["views"]) == (category, "procedural", 2, 4)
@@ -275,7 +275,7 @@ def interrupt_after(monkeypatch, module, name: str, calls: int) -> None:
 
 @pytest.mark.slow
 def test_an_interrupted_rendering_goes_on_and_can_be_evaluated(capsys, monkeypatch):
-    render = ["render", *LAPTOP, "--objects", "2", "--views", "5", "--noise", "on", "--output"]
+    render = ["render", *LAPTOP, "--objects", "2", "--views", "5", "--depth-noise", "on", "--output"]
     with monkeypatch.context() as patch:
         interrupt_after(patch, view_folder, "standard_view", 3)
         assert run([*render, "views"]) == 130
@@ -332,6 +332,10 @@ def test_an_interrupted_training_goes_on_where_it_was(capsys, monkeypatch):
     assert config["training"]["clutter"]
     few = ["--objects", "1", "--views", "1", "--device", "cpu"]
     assert answer(capsys, "eval", "pose", *LAPTOP, "--weights", "robust", *few)["views"] == 1
+
+    # begun from what is known of another category
+    answer(capsys, *net[:-1], "begun", "--initial", "dishwasher")
+    assert json.loads(Path("begun/config.json").read_text())["training"]["initial"]["category"] == "dishwasher"
 
 
 def use_weights(capsys, folder: str) -> None:

@@ -116,7 +116,7 @@ def test_table3_of_all_methods_and_again_from_the_cache(capsys, monkeypatch):
     torch.manual_seed(0)
     save(SiameseNet(LAPTOP, TINY), Path("weights/laptop/siamese"), {})
     command = ["eval", "retrieval", "--objects", "3", "--views", "4", "--gallery", "2", "--draws", "3"]
-    command += ["--queries", "5", "--weights", "weights"]
+    command += ["--queries", "5", "--weights", "weights", "--cache", "kept"]
     found = answer(capsys, *command)
     methods = found["laptop"]
     assert {

@@ -41,7 +41,7 @@ def test_estimates_take_their_surfaces_from_the_bank(weights, capsys):
 def test_a_bank_that_is_none_is_refused_when_it_is_needed(weights):
     (weights / FILE).write_bytes(b"nothing")
     estimate = omad.Estimator.from_pretrained(weights, "cpu")(laptop_view().observation())
-    with pytest.raises(omad.InputError, match=r"surfaces\.npz: damaged.*omad train surface --category laptop"):
+    with pytest.raises(omad.InputError, match=r"surfaces\.npz: .*anew: omad train surface --category laptop"):
         _ = estimate.parts
 
 

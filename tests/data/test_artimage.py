@@ -447,7 +447,7 @@ def test_render_eval_and_train_take_the_layout(
     result = answer(capsys, "eval", "pose", *laptop, "--source", "root", "--broken", "skip")
     assert result["views"] == 3
     assert [row["name"] for row in result["refused"]] == ["2000000_0001.json"]
-    assert "--depth-noise" in refused(capsys, "eval", "pose", *laptop, "--source", "root", "--depth-noise")
+    assert "--depth-noise" in refused(capsys, "eval", "pose", *laptop, "--source", "root", "--depth-noise", "on")
     assert "root/laptop: " in refused(capsys, "eval", "pose", *laptop, "--source", "root/laptop")
     assert "drawer" in refused(capsys, "eval", "pose", "--category", "drawer", "--source", "root")
     assert "root: " in refused(capsys, "render", *laptop, "--source", "root", "--output", "other")

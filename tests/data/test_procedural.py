@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 import trimesh
 
-from helpers.categories import CATEGORIES, DISHWASHER, LAPTOP
+from helpers.categories import DISHWASHER, EVERY, LAPTOP
+from helpers.travel import deepest_cut, solids, winding
 from omad.common.errors import InputError
 from omad.data.procedural import GENERATORS, generate
 from omad.data.procedural.shapes import box, cylinder, hexahedron, slab
-from omad.geometry.mesh import Mesh, merge_meshes
+from omad.geometry.mesh import merge_meshes
 from omad.objects.category import Category
 from omad.objects.model import ObjectModel
 
@@ -21,28 +22,12 @@ LEAN = {"eyeglasses": 20}
 
 @pytest.fixture(scope="module")
 def objects() -> dict[str, list[ObjectModel]]:
-    return {name: [generate(CATEGORIES[name], i, "train") for i in range(COUNT)] for name in GENERATORS}
+    return {name: [generate(EVERY[name], i, "train") for i in range(COUNT)] for name in GENERATORS}
 
 
 @pytest.fixture(params=sorted(GENERATORS))
 def category(request) -> Category:
-    return CATEGORIES[request.param]
-
-
-def solids(mesh: Mesh) -> list[trimesh.Trimesh]:
-    """The solids that a part is a union of."""
-    whole = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
-    labels = trimesh.graph.connected_component_labels(whole.face_adjacency, node_count=len(mesh.faces))
-    return [trimesh.Trimesh(mesh.vertices, mesh.faces[labels == k], process=False) for k in range(labels.max() + 1)]
-
-
-def winding(mesh: Mesh, points: np.ndarray) -> np.ndarray:
-    """How many solids of ``mesh`` hold each point (N, 3): the sum of the solid angles of its triangles over 4 pi."""
-    a, b, c = (mesh.vertices[mesh.faces[:, k]] - points[:, None] for k in range(3))
-    la, lb, lc = (np.linalg.norm(v, axis=-1) for v in (a, b, c))
-    volume = np.einsum("ijk,ijk->ij", a, np.cross(b, c))
-    spread = la * lb * lc + (a * b).sum(-1) * lc + (b * c).sum(-1) * la + (c * a).sum(-1) * lb
-    return (2 * np.arctan2(volume, spread)).sum(1) / (4 * np.pi)
+    return EVERY[request.param]
 
 
 def share_inside(model: ObjectModel, state: float) -> float:
@@ -50,7 +35,7 @@ def share_inside(model: ObjectModel, state: float) -> float:
     samples = model.surface_samples(1200, np.random.default_rng(0))
     points = samples.points[samples.labels == 1][:300].astype(float)
     T = model.part_transforms(np.array([state]))[1]
-    return float((winding(model.parts[0], points @ T[:3, :3].T + T[:3, 3]) > 0.5).mean())
+    return float((winding(model.parts[0].triangles, points @ T[:3, :3].T + T[:3, 3]) > 0.5).mean())
 
 
 def extents(models: list[ObjectModel], category: Category) -> np.ndarray:
@@ -124,7 +109,7 @@ def test_numbers_that_seed_no_stream_are_refused(category, arguments):
 def test_parts_are_unions_of_closed_outward_solids(category, objects):
     for model in objects[category.name][:40]:
         for part in model.parts:
-            for solid in solids(part):
+            for solid in (trimesh.Trimesh(each.vertices, each.faces, process=False) for each in solids(part)):
                 assert solid.is_watertight, model.name
                 assert solid.is_winding_consistent, model.name
                 assert solid.volume > 0, model.name
@@ -134,7 +119,7 @@ def test_parts_are_unions_of_closed_outward_solids(category, objects):
 @pytest.mark.slow
 def test_meshes_are_light(category, objects):
     faces = [sum(len(p.faces) for p in m.parts) for m in objects[category.name]]
-    assert min(faces) >= 100
+    assert min(faces) >= 60
     assert max(faces) <= 3000
 
 
@@ -142,11 +127,11 @@ def test_meshes_are_light(category, objects):
 def test_objects_obey_their_spec_in_canonical_space(category, objects):
     for model in objects[category.name]:
         assert model.category == category.name
-        assert model.tree == category.tree
+        assert model.tree == category.metric_tree
         assert model.part_names == tuple(part.name for part in category.parts)
         assert model.joint_names == tuple(joint.name for joint in category.joints)
         for joint, limits in zip(category.joints, model.limits, strict=True):
-            if joint.type == "revolute":
+            if joint.motion.turns:
                 assert tuple(limits) == joint.limits
             else:
                 assert 0 <= limits[0] < limits[1] <= joint.limits[1] * category.metres_per_unit
@@ -199,6 +184,23 @@ def test_door_covers_the_front_and_falls_forwards(objects):
         fallen = model.posed_vertices(opened)[1]
         assert fallen[:, 2].max() > z + 0.95 * (door[1, 1] - y), model.name
         assert fallen[:, 1].max() < door[0, 1] + 0.25, model.name
+
+
+DEEPEST = 0.015
+"""How deep parts may cut into each other, as a share of the object's diagonal: seals, hinges and catches do."""
+OLDER = {"laptop", "eyeglasses", "dishwasher", "scissors", "drawer"}
+"""Made before this was asked of them; networks were trained on them as they are. Other chests are made like drawers."""
+CONSTRAINED = {"stapler"}
+"""Joints that do not move alone: a magazine cannot leave a lid that is shut."""
+
+
+@pytest.mark.slow
+def test_parts_keep_clear_of_each_other_wherever_joints_are(category, objects):
+    if category.name.split("_")[0] in OLDER:
+        pytest.skip("their objects stay as they were")
+    alone, rng = category.name not in CONSTRAINED, np.random.default_rng(0)
+    cuts = {model.name: deepest_cut(model, rng, alone) for model in objects[category.name][:25]}
+    assert not {name: cut for name, cut in cuts.items() if cut > DEEPEST}
 
 
 @pytest.mark.slow

@@ -10,7 +10,7 @@ import pytest
 import trimesh
 from scipy import ndimage
 
-from helpers.categories import CATEGORIES
+from helpers.categories import EVERY
 from omad.data.procedural import GENERATORS, generate
 from omad.data.rendering.rasteriser import NEAR, NOTHING, Rendering, rasterise, render
 from omad.data.rendering.standard_views import standard_view
@@ -56,7 +56,7 @@ def assert_same(ours: Rendering, oracle: Rendering) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(GENERATORS))
 def test_procedural_objects_look_as_rays_see_them(name: str) -> None:
-    category = CATEGORIES[name]
+    category = EVERY[name]
     for index in range(4):
         model = generate(category, index, "test")
         view = standard_view(model, category, (5, index))

@@ -8,7 +8,7 @@ from helpers.categories import CATEGORIES, DISHWASHER, LAPTOP
 from omad.data.clutter.settings import Clutter
 from omad.data.point_views import look, plain_look, plain_pose, plain_visible, pose, visible
 from omad.data.procedural import generate
-from omad.data.surface_bank import SurfaceBank
+from omad.data.surface_bank import PartSamples, SurfaceBank
 from omad.data.training_views import ViewSettings, draw_views
 from omad.geometry.kinematics import part_transforms
 from omad.geometry.transforms import invert_transform, make_transform, transform_points
@@ -121,3 +121,18 @@ def test_compiled_views_are_the_plain_ones(bank):
     # rounding may put a sample at the rim of a cell, or of what is seen, on its other side
     assert (facing != facing_too).float().mean() < 1e-3
     assert (seen != seen_too).float().mean() < 1e-3
+
+
+def test_as_many_samples_of_every_part_are_drawn(bank):
+    """Of the object asked for, at its stretch, and of small parts no fewer than of large ones."""
+    indices, scale = torch.tensor([1, 3]), torch.tensor([[1.0, 2.0, 0.5], [1.2, 1.0, 1.0]])
+    samples = PartSamples.of(bank, 2)
+    clouds = samples.draw(indices, scale, 50, torch.Generator().manual_seed(0))
+    again = samples.draw(indices, scale, 50, torch.Generator().manual_seed(0))
+    for part, cloud in enumerate(clouds):
+        assert cloud.shape == (2, 50, 3)
+        assert torch.equal(cloud, again[part])
+        for b, index in enumerate(indices):
+            own = bank.points[index][bank.labels[index] == part] * scale[b]
+            assert (cloud[b][:, None] - own).abs().amax(-1).amin(1).max() < 1e-6
+            assert len(cloud[b].unique(dim=0)) > 40

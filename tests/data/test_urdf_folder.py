@@ -19,7 +19,7 @@ from omad.data.procedural import generate
 from omad.data.urdf_import.articulation import read_articulation, read_urdf
 from omad.data.urdf_import.folder import import_model, load_folder
 from omad.data.urdf_import.links import label_parts
-from omad.data.urdf_import.rest_states import REST_RULES
+from omad.data.urdf_import.rest_states import RULES
 from omad.geometry.mesh import Mesh
 from omad.objects.category import Category, JointSpec, PartSpec, RestRule
 from omad.objects.model import ObjectModel
@@ -428,4 +428,4 @@ def test_real_models_of_another_kind_are_refused():
 
 
 def test_every_rest_rule_has_its_geometry():
-    assert {rule for _, rule in REST_RULES} == set(get_args(RestRule))
+    assert {rule for _, rule in RULES} == set(get_args(RestRule))

@@ -183,11 +183,21 @@ def test_the_file_says_what_was_put_into_it(checkpoint: Path) -> None:
 def test_a_damaged_file_is_refused(checkpoint: Path, damage, told: str) -> None:
     always(LAPTOP, 0.02, 0.11, 0.8).save(checkpoint)
     path = checkpoint / FILE
-    path.write_text(damage(path.read_text()))
+    record = json.loads(path.read_text())
+    del record["sha256"]  # as earlier versions wrote it, or a hand that knows what it does
+    path.write_text(damage(json.dumps(record)))
     with pytest.raises(InputError, match=told) as raised:
         omad.Estimator.from_pretrained(checkpoint, "cpu")
     assert str(path) in str(raised.value)
     assert "omad train confidence" in str(raised.value)
+
+
+def test_a_turned_bit_is_told_by_the_checksum(checkpoint: Path) -> None:
+    always(LAPTOP, 0.02, 0.11, 0.8).save(checkpoint)
+    path = checkpoint / FILE
+    path.write_text(path.read_text().replace("0.0", "0.1", 1))
+    with pytest.raises(InputError, match=r"confidence\.json: is damaged.*checksum"):
+        omad.Estimator.from_pretrained(checkpoint, "cpu")
 
 
 def test_an_answer_is_doubtful_by_its_probability_and_else_by_its_checks(estimate: Estimate) -> None:

@@ -95,12 +95,14 @@ def test_a_view_that_is_given_twice_counts_once(estimator, views):
     assert np.allclose(twice.joints[0].state_std, alone.joints[0].state_std, rtol=0.05)
 
 
-def test_other_sides_make_it_surer(estimator, views):
-    observations, T = observed(views)
-    alone = estimator(observations)
-    together = estimator(observations, T_world_camera=T)[0]
-    assert together.joints[0].state_std < np.mean([estimate.joints[0].state_std for estimate in alone])
-    assert together.joints[0].state_std > np.min([estimate.joints[0].state_std for estimate in alone]) / np.sqrt(3)
+def test_other_sides_make_it_surer(estimator):
+    alone, together = [], []
+    for index in range(8):
+        observations, T = observed(moment(estimator, index, 3))
+        alone.append([estimate.joints[0].state_std for estimate in estimator(observations)])
+        together.append(estimator(observations, T_world_camera=T)[0].joints[0].state_std)
+    assert np.mean(together) < np.mean(alone)
+    assert np.mean(together) > np.mean(np.min(alone, axis=1)) / np.sqrt(3)
 
 
 def test_a_view_from_elsewhere_is_left_out_and_named(estimator, views):
@@ -156,7 +158,7 @@ def test_separate_targets_are_a_weighted_mean_without_robustness(estimator):
 @pytest.mark.parametrize("shape", [(3, 4, 4), (4, 4), (2, 3, 4)])
 def test_wrong_shapes_are_named(estimator, views, shape):
     observations, _ = observed(views[:2])
-    with pytest.raises(omad.InputError, match=r"T_world_camera: shape .* give \(2, 4, 4\)"):
+    with pytest.raises(omad.InputError, match=r"T_world_camera: expected .* shape \(2, 4, 4\)"):
         estimator(observations, T_world_camera=np.zeros(shape))
 
 
@@ -185,5 +187,5 @@ def test_three_views_err_less_than_one_and_say_so(name):
                 turned[few].append(R.magnitude())
                 held[few].append(error < 1.645 * np.array([joint.state_std for joint in estimate.joints]))
     assert np.mean(off[1]) < 0.95 * np.mean(off[0])
-    assert np.median(turned[1]) < 0.95 * np.median(turned[0])
+    assert np.mean(turned[1]) < 0.95 * np.mean(turned[0])
     assert np.mean(held[1]) > np.mean(held[0]) - 0.05

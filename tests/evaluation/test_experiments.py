@@ -67,7 +67,7 @@ def test_tables_agree(here, capsys):
 def test_true_keypoints_give_the_true_pose(category):
     estimator = Estimator.from_pretrained(category.name, "cpu")
     models = [generate(category, index, "test") for index in range(8)]
-    views = list(load_views("procedural", category, 8, 8, 0, False, "refuse").views)
+    views = list(load_views("procedural", category, 8, 8, 0, "off", "refuse").views)
     found = from_true_keypoints(estimator, load(PriorNet, WEIGHTS / category.name / "prior"), models, views)
     unit = np.where(category.turning, np.pi / 180, category.metres_per_unit)
     off = [

@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
+import omad
 from helpers.categories import CATEGORIES
 from helpers.command_line import answer, laptop_view, refused
 from omad.cli.main import run
 from omad.data.procedural import generate
+from omad.evaluation.figures import surfaces
 from omad.evaluation.figures.correspondence import opened
 from omad.evaluation.figures.occlusion import hidden_share, occlude
 from omad.evaluation.figures.scene import crop_around, shaded, studio
@@ -174,6 +176,17 @@ def test_either_labelling_is_the_same_object():
     pose = ObjectPose(states, model.axes, model.pivots, T).swapped()
     for k, part in enumerate(other.parts):
         assert np.allclose(carry(pose.T_camera_part[k], part.vertices), model.posed_vertices(states)[1 - k])
+
+
+def test_whole_objects_are_drawn_a_column_each(tmp_path):
+    view, model = laptop_view(), generate(CATEGORIES["laptop"], 0, "test")
+    estimate = omad.Estimator.from_pretrained("laptop", "cpu")(view.observation())
+    drawn = surfaces.draw([surfaces.Seen(view, estimate, model)] * 2)
+    assert len(drawn.axes) == 2 * len(surfaces.ROWS)
+    depth, mine, true, _ = (np.asarray(panel.images[0].get_array()) for panel in drawn.axes[: len(surfaces.ROWS)])
+    there = [(picture < 0.99).any(2) for picture in (mine, true)]
+    assert (there[0] & there[1]).sum() > 0.8 * (there[0] | there[1]).sum()
+    assert np.isfinite(depth).any()
 
 
 def test_shapes_spread_like_the_training_objects():

@@ -80,7 +80,7 @@ def test_other_weights_are_refused_and_a_damaged_file_is_named(tmp_path):
 def test_skipped_views_are_the_first_ones():
     models = [generate(LAPTOP, index, "test") for index in range(2)]
     every = list(standard_views(models, LAPTOP, 5, 3))
-    rest = load_views("procedural", LAPTOP, 2, 5, 0, False, "refuse", skip=3)
+    rest = load_views("procedural", LAPTOP, 2, 5, 0, "off", "refuse", skip=3)
     assert rest.total == 5
     for view, same in zip(rest.views, standard_views(models, LAPTOP, 5, 0, skip=3), strict=True):
         assert view.seed == same.seed

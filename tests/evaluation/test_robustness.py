@@ -71,7 +71,7 @@ def estimator() -> omad.Estimator:
 
 @pytest.fixture(scope="module")
 def source() -> ViewSource:
-    return load_views("procedural", LAPTOP, 2, 3, 0, False, "refuse")
+    return load_views("procedural", LAPTOP, 2, 3, 0, "off", "refuse")
 
 
 def test_clean_views_are_those_of_eval_pose_and_rows_do_not_depend_on_each_other(estimator, source) -> None:

@@ -76,12 +76,24 @@ def test_all_methods_on_the_same_views_and_again_from_the_cache(weights, capsys,
 
 @pytest.mark.slow
 def test_a_cache_of_other_weights_or_data_is_refused(weights, capsys):
-    answer(capsys, *TABLE, "--weights", "weights")
-    assert "omad-predictions" in refused(capsys, *TABLE, "--weights", "weights", "--seed", "1")
+    table = [*TABLE, "--weights", "weights", "--cache", "predictions"]
+    answer(capsys, *table)
+    assert "predictions" in refused(capsys, *table, "--seed", "1")
     save(AncshNet(LAPTOP, TINY), weights / "laptop" / "ancsh", {})
-    assert "ancsh.npz: " in refused(capsys, *TABLE, "--weights", "weights")
-    Path("omad-predictions/laptop/ancsh.npz").write_bytes(b"nonsense")
-    assert "ancsh.npz: " in refused(capsys, *TABLE, "--weights", "weights")
+    assert "ancsh.npz: " in refused(capsys, *table)
+    Path("predictions/laptop/ancsh.npz").write_bytes(b"nonsense")
+    assert "ancsh.npz: " in refused(capsys, *table)
+
+
+@pytest.mark.slow
+def test_without_a_folder_predictions_go_to_the_users_cache(weights, capsys, monkeypatch):
+    monkeypatch.setenv("OMAD_CACHE", str(Path("own").absolute()))
+    before = {path.name for path in Path().iterdir()}
+    found = answer(capsys, *TABLE, "--weights", "weights")
+    assert {path.name for path in Path().iterdir()} - before == {"own"}
+    assert len(list(Path("own/predictions").glob("laptop-*.npz"))) == 3
+    assert answer(capsys, *TABLE, "--weights", "weights", "--seed", "1")["rows"] != found["rows"]  # not refused
+    assert answer(capsys, *TABLE, "--weights", "weights") == found
 
 
 def test_without_weights_the_baseline_is_left_out(weights, capsys):

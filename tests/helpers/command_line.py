@@ -49,7 +49,8 @@ def refused(capsys, *arguments: str) -> str:
     capsys.readouterr()
     assert run([*arguments]) == 2
     captured = capsys.readouterr()
-    lines = captured.err.strip().splitlines()
+    told = "omad: compiling for this machine"  # where it is the first to need it
+    lines = [line for line in captured.err.strip().splitlines() if not line.startswith(told)]
     assert len(lines) == 1, captured.err
     assert lines[0].startswith("omad: ")
     assert captured.out == ""

@@ -25,7 +25,7 @@ def microwave(name: str = "made", width: float = 0.5, height: float = 0.28, dept
     split = 0.55 * w
     return ObjectModel(
         name=name,
-        category="microwave",
+        category="my_microwave",
         part_names=("body", "door"),
         parts=(box((-w, -h, -d), (w, h, d - 0.03)), box((-w, -h, d - 0.03), (split, h, d))),
         joint_names=("door_joint",),
@@ -40,7 +40,7 @@ def stapler(name: str = "made", length: float = 0.15, width: float = 0.03) -> Ob
     back, front, w = -length / 2, length / 2, width / 2
     return ObjectModel(
         name=name,
-        category="stapler",
+        category="my_stapler",
         part_names=("base", "lid", "magazine"),
         parts=(
             box((-w, 0.0, back), (w, 0.01, front)),
@@ -58,7 +58,7 @@ def stapler(name: str = "made", length: float = 0.15, width: float = 0.03) -> Ob
 JAR_PITCH = 0.03
 """Metres a turn."""
 JAR = f"""
-name = "jar"
+name = "my_jar"
 metres_per_unit = 0.1
 basis_size = 4
 
@@ -79,7 +79,7 @@ def jar(name: str = "made", width: float = 0.09, height: float = 0.12, lid: floa
     w, wing = width / 2, (0.6 * width, height + lid)
     return ObjectModel(
         name=name,
-        category="jar",
+        category="my_jar",
         part_names=("jar", "lid"),
         parts=(
             box((-w, 0.0, -w), (w, height, w)),

@@ -82,7 +82,7 @@ def test_a_bank_of_foreign_models_keeps_their_meshes(tmp_path, laptop):
     with pytest.raises(InputError, match=r"another prior.*omad train surface"):
         ShapeBank.load(path, other.category, other.prior)
     path.write_bytes(b"no archive")
-    with pytest.raises(InputError, match=r"surfaces\.npz: damaged"):
+    with pytest.raises(InputError, match=r"surfaces\.npz: not readable as a bank of surfaces"):
         ShapeBank.load(path, net.category, net.prior)
 
 

@@ -12,13 +12,13 @@ import pytest
 
 import omad
 from omad.common.errors import InputError
-from omad.model.checkpoint import WEIGHTS, category_from_dict
+from omad.model.checkpoint import WEIGHTS, category_from_dict, shipped_categories
 from omad.objects.builtin import builtin_names
 from omad.objects.category import SLIDING_REST_RULES, JointSpec, PartSpec, RestRule, ViewRange
 from omad.objects.category_file import read_spec
 
 SMALL = """
-name = "microwave"
+name = "my_microwave"
 metres_per_unit = 0.3
 
 [[parts]]
@@ -116,7 +116,7 @@ def test_json_is_the_same_file(written):
 
 
 def test_shipped_categories_are_called_by_name():
-    assert sorted(builtin_names()) == ["dishwasher", "drawer", "eyeglasses", "laptop", "scissors"]
+    assert {"dishwasher", "drawer", "eyeglasses", "laptop", "scissors"} < {*builtin_names()}
     for name in builtin_names():
         assert omad.get_category(name).name == name
         assert omad.get_category(name) is omad.get_category(name)
@@ -132,7 +132,7 @@ def test_names_of_shipped_categories_need_no_network_library():
 
 def test_shipped_specs_are_those_that_the_weights_were_trained_with():
     configs = list(WEIGHTS.rglob("config.json"))
-    assert len(configs) >= len(builtin_names())
+    assert len(configs) >= len(shipped_categories())
     for config in configs:
         category = category_from_dict(json.loads(config.read_text())["category"])
         assert category == omad.get_category(category.name)
@@ -183,10 +183,10 @@ def test_every_rest_rule_can_be_chosen(written):
 
 
 SLIPS = {
-    "no name": ('name = "microwave"\n', "", "name"),
-    "empty name": ('"microwave"', '""', "name"),
-    "name of a number": ('"microwave"', "3", "name"),
-    "built-in name": ('"microwave"', '"laptop"', "name"),
+    "no name": ('name = "my_microwave"\n', "", "name"),
+    "empty name": ('"my_microwave"', '""', "name"),
+    "name of a number": ('"my_microwave"', "3", "name"),
+    "built-in name": ('"my_microwave"', '"laptop"', "name"),
     "no unit": ("metres_per_unit = 0.3\n", "", "metres_per_unit"),
     "unit zero": ("= 0.3", "= 0", "metres_per_unit"),
     "unit not finite": ("= 0.3", "= nan", "metres_per_unit"),

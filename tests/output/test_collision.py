@@ -13,7 +13,7 @@ from omad.geometry.convex import ConvexBody, convex_bodies, overlap
 from omad.geometry.mesh import Mesh, merge_meshes
 from omad.objects.category_file import get_category
 from omad.objects.urdf import write_urdf
-from omad.output.collision import collision_bodies
+from omad.output.robots.collision import collision_bodies
 
 
 def touch(one: np.ndarray, other: np.ndarray) -> bool:

@@ -30,7 +30,8 @@ from omad.objects.pose import ObjectPose
 from omad.output.gltf import save_glb
 from omad.output.ply import part_surfaces, save_ply
 from omad.output.rerun import save_rrd
-from omad.output.robot_urdf import link_frames, save_robot
+from omad.output.robots.robot import link_frames
+from omad.output.robots.urdf import save_robot
 from omad.output.ros import ros_messages
 
 PAGE = Path(__file__).parents[2] / "docs" / "formats.md"
@@ -296,15 +297,20 @@ def test_page_runs(laptop, tmp_path, monkeypatch):
     names = {"view": observation, "estimate": estimate}
     for language, code in every_block(PAGE):
         if language == "python":
-            named = [name for name in ("pybullet", "rerun") if re.search(rf"\bimport .*\b{name}\b", code)]
+            named = [
+                name
+                for name in ("pybullet", "rerun", "mujoco", "pxr")
+                if re.search(rf"\b(import|from) .*\b{name}\b", code)
+            ]
             missing = [name for name in named if not _installed(name)]
             if not missing:
                 exec(code, names)
                 ran += 1
         else:
             words = code.split()
-            if not _installed("rerun"):
-                words.remove("rrd")
+            for name, extra in {"rrd": "rerun", "mjcf": "mujoco", "usd": "pxr"}.items():
+                if not _installed(extra):
+                    words.remove(name)
             assert words[0] == "omad"
             assert run(words[1:]) == 0
     assert ran >= 4

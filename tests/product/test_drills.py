@@ -1,100 +1,75 @@
-"""Drills: commands that are killed, and commands whose disk is full. ``OMAD_KILLS=100`` kills so often."""
+"""Drills: commands that are killed, whose disk is full, and many at a time. ``OMAD_KILLS=100`` kills so often;
+``python benchmarks/kill_drill.py`` does so for all commands together."""
 
-import hashlib
 import os
 import subprocess
 import sys
-import time
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from helpers.own_models import write_microwaves
+from helpers.command_line import LAPTOP, K
+from helpers.drills import DRILLS, Drill, begin, kill_and_finish, lay_out, prepare, written
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(os.name == "nt", reason="limits and signals as POSIX has them")]
-KILLS = int(os.environ.get("OMAD_KILLS", "4"))
-SPEC = str(Path(__file__).parents[2] / "docs" / "categories" / "microwave.toml")
+KILLS = int(os.environ.get("OMAD_KILLS", "2"))
 LIMITED = """
 import resource, sys
 resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv.pop(1)),) * 2)
 from omad.__main__ import main
 main()
 """
-COMMANDS = {
-    "generate": ["generate", "--category", "laptop", "--objects", "2", "--output", "out"],
-    "render": ["render", "--category", "laptop", "--objects", "2", "--views", "6", "--output", "out"],
-    "import": ["import", "models", "--category", SPEC, "--output", "out"],
-    "train": ["train", "prior", "--category", "laptop", "--objects", "2", "--steps", "30", "--batch", "2",
-              "--seed", "1", "--threads", "1", "--device", "cpu", "--save-seconds", "0.01", "--output", "out"],
-    "index": ["index", "build", "--category", "laptop", "--source", "procedural", "--objects", "2",
-              "--output", "out/i.npz"],
-    "export": ["export", "--category", "laptop", "--output", "out"],
-}  # fmt: skip
+KNOWN = {drill.name: drill for drill in DRILLS}
+ESTIMATE = Drill("estimate", ["estimate", "frames/frame_00.png", *LAPTOP, *K, "--output", "out"])
 
 
 @pytest.fixture(autouse=True)
 def here(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    write_microwaves(Path("models"), 2)
+    prepare()
 
 
-def omad(name: str, *before: str) -> subprocess.Popen:
-    command = [sys.executable, *(before or ("-m", "omad")), *COMMANDS[name]]
-    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-
-
-def done(process: subprocess.Popen) -> str:
-    """What it says on stderr, once it has ended well."""
-    _, err = process.communicate(timeout=600)
-    assert process.returncode == 0, err
-    return err
-
-
-def written() -> dict[str, str]:
-    """Digests of all files but those that tell times, and PNGs of matplotlib."""
-    told = ("metrics.jsonl", "state.pt", "models.png", "import.json")
-    files = (path for path in Path("out").rglob("*") if path.is_file())
-    kept = (path for path in files if path.name not in told and "tfevents" not in path.name)
-    return {str(path): hashlib.sha256(path.read_bytes()).hexdigest() for path in kept}
-
-
-@pytest.mark.parametrize("name", ["generate", "render", "import", "train", "index"])
+@pytest.mark.parametrize("name", KNOWN)
 def test_what_was_killed_is_done_by_the_next_run(name):
-    began = time.monotonic()
-    done(omad(name))
-    lasts, whole = time.monotonic() - began, written()
-    assert whole
-    Path("out").rename("whole")
-    rng = np.random.default_rng(0)
-    for share in rng.uniform(0.2, 1.0, KILLS):
-        process = omad(name)
-        time.sleep(float(share) * lasts)
-        process.kill()
-        process.communicate()
-    done(omad(name))
-    # two trainings of so few objects differ (an SVD's signs hang on last digits), and archives tell when they were made
-    assert written().keys() == whole.keys()
-    assert name in ("train", "index") or written() == whole
-    assert not list(Path("out").rglob(".omad-*"))
+    assert not kill_and_finish(KNOWN[name], KILLS, 0)
 
 
-@pytest.mark.parametrize("name", ["generate", "render", "import", "train", "index", "export"])
-def test_a_full_disk_is_one_line(name):
-    process = omad(name, "-c", LIMITED, "2000")
-    _, err = process.communicate(timeout=600)
+@pytest.mark.parametrize("drill", [*DRILLS, ESTIMATE], ids=lambda drill: drill.name)
+def test_a_full_disk_is_one_line(drill):
+    lay_out(drill)
+    before = {path: path.read_bytes() for path in Path("out").rglob("*") if path.name in drill.begun}
+    code, err = on_a_full_disk(drill)
     said = [line for line in err.splitlines() if line.startswith("omad: ") and "compiling" not in line]
-    assert process.returncode == 1, err
+    assert code == 1, err
     assert "Traceback" not in err
     assert len(said) == 1
     assert "cannot be written (File too large)" in said[0]
     assert not [path for path in Path().rglob(".omad-*")]
+    assert all(path.read_bytes() == content for path, content in before.items())
 
 
 def test_a_full_disk_leaves_a_trainings_state():
-    done(omad("train"))
+    train = KNOWN["train prior"]
+    begin(train).communicate(timeout=600)
     before = Path("out/state.pt").read_bytes()
-    process = omad("train", "-c", LIMITED, "2000")
-    process.communicate(timeout=600)
-    assert process.returncode == 1
+    assert on_a_full_disk(train)[0] == 1
     assert Path("out/state.pt").read_bytes() == before
+
+
+def test_many_at_a_time_write_what_one_writes():
+    """Six processes in one folder, which all compile, sweep and write the same files."""
+    alone = Drill("render", [*KNOWN["render"].arguments[:-1], "alone"])
+    assert begin(alone).wait(600) == 0
+    running = [begin(KNOWN["render"]) for _ in range(6)]
+    ended = [(process.communicate(timeout=600)[1], process.returncode) for process in running]
+    assert all("Traceback" not in err for err, _ in ended), ended
+    assert begin(KNOWN["render"]).wait(600) == 0
+    assert written(Path("out")) == written(Path("alone"))
+    assert not list(Path().rglob(".omad-*"))
+
+
+def on_a_full_disk(drill: Drill) -> tuple[int, str]:
+    """Exit code and stderr where no file may be larger than 200 bytes."""
+    command = [sys.executable, "-c", LIMITED, "200", *drill.arguments]
+    process = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
+    return process.returncode, process.stderr

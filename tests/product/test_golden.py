@@ -20,15 +20,17 @@ from omad.objects.pose import ObjectPose
 from omad.sensing.observation import Observation
 
 DATA = Path(__file__).parents[1] / "golden"
-# One view of 24 seen the wrong way round costs the mean axis error up to 7 degrees, hence its limits.
+# Of answers that are not doubtful:
 # mean joint state error (degrees, or category units), mean axis error in degrees, mean axis distance in category units
 LIMITS = {
-    "dishwasher": (3.0, 6.0, 0.07),
-    "drawer": (0.07, 2.5, None),
-    "eyeglasses": (3.6, 3.0, 0.025),
-    "laptop": (1.6, 5.0, 0.03),
-    "scissors": (4.5, 2.2, 0.04),
+    "dishwasher": (2.5, 1.4, 0.05),
+    "drawer": (0.065, 1.6, None),
+    "eyeglasses": (3.2, 2.7, 0.02),
+    "laptop": (1.6, 1.4, 0.026),
+    "scissors": (3.8, 1.9, 0.02),
 }
+DOUBTFUL = 1
+"""Of 24 answers, at most."""
 
 
 @pytest.fixture(scope="module", params=sorted(LIMITS))
@@ -47,8 +49,11 @@ def test_errors_stay_below_the_stated_ones(name):
     estimates = estimator(observations)
     found = []
     for i, estimate in enumerate(estimates):
+        if estimate.doubtful:
+            continue
         truth = ObjectPose(data["states"][i], data["axes"][i], data["pivots"][i], data["T_camera_part"][i])
         found.append(pose_errors(estimate.pose(), truth, data["part_boxes"][i], category))
+    assert len(found) >= len(estimates) - DOUBTFUL
     state = np.array([e.joint_state for e in found])
     axis = np.degrees([e.axis for e in found])
     distance = np.array([e.axis_distance for e in found]) / unit
@@ -110,7 +115,7 @@ SLOPPY = {
 def test_sloppy_masks_hardly_matter(name):
     estimator = Estimator.from_pretrained(name, device="cpu")
     category, rows = estimator.category, {row: ROWS[row] for row in (CLEAN, "wide-3-wall", "wide-3-table")}
-    source = load_views("procedural", category, 10, 20, 3, False, "refuse")
+    source = load_views("procedural", category, 10, 20, 3, "off", "refuse")
     found = measure(estimator, scenes_from(source, category, 3), 20, rows)
     unit = np.pi / 180 if all(category.turning) else category.metres_per_unit
     mean = {row: np.mean([each.errors.joint_state for each in views]) / unit for row, views in found.items()}

@@ -17,7 +17,10 @@ from omad.geometry.joint_kinds import motion_of
 from omad.objects.urdf import write_urdf
 from omad.output.gltf import save_glb
 from omad.output.page import page_data
-from omad.output.robot_urdf import save_robot
+from omad.output.robots.mjcf import save_mjcf
+from omad.output.robots.robot import link_frames
+from omad.output.robots.urdf import save_robot
+from omad.output.robots.usd import save_usd
 from omad.output.ros import ros_messages
 
 TURN = 2 * np.pi
@@ -133,6 +136,36 @@ def test_every_format_says_what_it_can(estimate, spec, tmp_path):
     lid = next(t for t in messages["tf"]["transforms"] if t["child_frame_id"] == "lid")["transform"]["translation"]
     parent = robot.get_transform("jar", "camera_optical_frame")
     np.testing.assert_allclose((np.linalg.inv(parent) @ T)[:3, 3], [lid[axis] for axis in "xyz"], atol=1e-6)
+
+
+@pytest.mark.slow
+def test_mujoco_turns_and_lifts_the_lid_at_once(estimate, tmp_path):
+    mujoco = pytest.importorskip("mujoco", reason="MuJoCo is an extra: pip install 'omad[mujoco]'")
+    save_mjcf(estimate, tmp_path / "robot.xml")
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "robot.xml"))
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    mujoco.mj_forward(model, data)
+    T = link_frames(estimate)[1]
+    np.testing.assert_allclose(data.body("lid").xpos, T[:3, 3], atol=1e-5)
+    np.testing.assert_allclose(data.body("lid").xmat.reshape(3, 3), T[:3, :3], atol=1e-5)
+    model.opt.gravity[:] = 0
+    data.qfrc_applied[0] = -2 * model.dof_frictionloss[0]
+    while data.qpos[0] > estimate.joint_states[0] - 0.5:
+        mujoco.mj_step(model, data)
+    data.qfrc_applied[0] = 0
+    for _ in range(500):  # the two are held together softly
+        mujoco.mj_step(model, data)
+    turned, lifted = data.qpos
+    assert 0 < turned < estimate.joint_states[0]
+    assert lifted == pytest.approx(JAR_PITCH / TURN * turned, abs=1e-4)
+
+
+@pytest.mark.slow
+def test_usd_knows_no_screw(estimate, tmp_path):
+    pytest.importorskip("pxr", reason="OpenUSD is an extra: pip install 'omad[usd]'")
+    with pytest.raises(omad.InputError, match="format usd: lid_joint turns and slides"):
+        save_usd(estimate, tmp_path / "robot.usda")
 
 
 @pytest.mark.slow

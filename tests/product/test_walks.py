@@ -94,8 +94,8 @@ def test_a_category_is_its_spec_its_generator_and_its_weights(walk):
         '[parts.joint]\ntype = "revolute"\naxis = "-x"\nlimits = [0, 90]\nreach = "+z"\nside = "+y"\n',
     )
     walk.write(
-        "data/procedural/bin.py",
-        "import numpy as np\nfrom .shapes import JointedParts, box\n\n\ndef generate(rng, category, unusual):\n"
+        "data/procedural/storage/bin.py",
+        "import numpy as np\nfrom ..shapes import JointedParts, box\n\n\ndef generate(rng, category, unusual):\n"
         "    w, h = rng.uniform(0.1, 0.2), rng.uniform(0.3, 0.5)\n"
         "    body, lid = box((-w, 0, -w), (w, h, w)), box((-w, h, -w), (w, h + 0.03, w))\n"
         "    return JointedParts(parts=(body, lid), pivots=np.array([[0.0, h, -w]]))\n",
@@ -104,8 +104,8 @@ def test_a_category_is_its_spec_its_generator_and_its_weights(walk):
     walk.omad("train", "prior", *budget, "--output", "bin/prior")
     walk.omad("train", "net", *budget, "--prior", "bin/prior", "--output", "bin")
     assert '"bin"' in walk.omad("eval", "pose", "--category", "bin", "--weights", "bin", "--views", "3", "--json")
-    assert walk.touched == {"objects/builtin/bin.toml", "data/procedural/bin.py"}
-    for file in ("objects/builtin/NAME.toml", "data/procedural/NAME.py", "model/weights/NAME"):
+    assert walk.touched == {"objects/builtin/bin.toml", "data/procedural/storage/bin.py"}
+    for file in ("objects/builtin/NAME.toml", "data/procedural/GROUP/NAME.py", "model/weights/NAME"):
         assert file in named("A category")
 
 
@@ -206,8 +206,8 @@ def test_an_export_format_is_a_file_and_an_entry(walk):
         "    write_text(path, '\\n'.join(','.join(map(str, point)) for point in estimate.keypoints))\n",
     )
     walk.change(table, where="from .gltf import save_glb\n", after="from .csv import save_csv\n")
-    entry = 'lambda estimate, seen, folder: save_csv(estimate, folder / "keypoints.csv")'
-    where = "FORMATS: dict[str, Callable[[Estimate, Observation, Path], object]] = {\n"
+    entry = 'lambda estimate, seen, folder, frame: save_csv(estimate, folder / "keypoints.csv")'
+    where = "FORMATS: dict[str, Callable[[Estimate, Observation, Path, Frame], object]] = {\n"
     walk.change(table, where=where, after=f'    "csv": {entry},\n')
     np.save(walk.folder / "cloud.npy", cloud())
     walk.omad("estimate", "cloud.npy", "--category", "laptop", "--formats", "csv")

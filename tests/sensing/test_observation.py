@@ -7,13 +7,14 @@ import pytest
 import torch
 import trimesh
 
-from helpers.categories import CATEGORIES
+from helpers.categories import EVERY
 from omad.common.errors import InputError
-from omad.data.procedural import GENERATORS, generate
+from omad.data.procedural import generate
 from omad.data.rendering.depth_noise import ON, add_noise
 from omad.data.rendering.rasteriser import rasterise
 from omad.data.rendering.standard_views import standard_view
 from omad.geometry.camera import STANDARD_CAMERA, Camera
+from omad.model.checkpoint import shipped_categories
 from omad.sensing.observation import Observation
 from omad.sensing.thin_parts import with_thin_parts
 
@@ -183,7 +184,7 @@ def test_flying_points_are_dropped_on_request() -> None:
 
 def clutter(name: str, index: int, wall: bool, noisy: bool) -> tuple[np.ndarray, np.ndarray]:
     """Depth of a scene, and which pixels are the object's: a floor, a box, a post and perhaps a wall around it."""
-    category = CATEGORIES[name]
+    category = EVERY[name]
     model = generate(category, index, "test")
     view = standard_view(model, category, (0, index))
     posed = model.posed_vertices(view.states)
@@ -213,7 +214,7 @@ THIN = (0.9, 0.6)
 
 @pytest.mark.slow
 @pytest.mark.parametrize("noisy", [False, True])
-@pytest.mark.parametrize("name", sorted(GENERATORS))
+@pytest.mark.parametrize("name", shipped_categories())
 def test_an_object_is_cut_out_of_clutter(name: str, noisy: bool) -> None:
     """Most scenes succeed by themselves, and those that do not are announced."""
     usual, least = THIN if name in ("eyeglasses", "scissors") else (0.95, 0.8)

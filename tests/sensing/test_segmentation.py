@@ -6,8 +6,8 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
-from omad.sensing.clusters import GAP, SPARSE, VOXEL, prominent_cluster
-from omad.sensing.segmentation import segment_on_plane, things_before_planes
+from omad.sensing.cutting.clusters import GAP, SPARSE, VOXEL, prominent_cluster
+from omad.sensing.cutting.segmentation import segment_on_plane, things_before_planes
 
 
 def clusters_by_scipy(points: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, float]:

@@ -8,6 +8,7 @@ import torch
 from omad.training import losses
 
 PART = torch.tensor([0, 0, 1, 1])
+PARTS = (slice(0, 2), slice(2, 4))
 
 
 def keypoints() -> torch.Tensor:
@@ -16,28 +17,27 @@ def keypoints() -> torch.Tensor:
 
 def test_chamfer_is_zero_on_itself_and_sees_only_its_own_part():
     a = keypoints()
-    assert losses.part_chamfer(a, a, PART) == pytest.approx(0, abs=1e-5)
+    assert losses.part_chamfer(a, a, PARTS) == pytest.approx(0, abs=1e-5)
     b = a.clone()
     b[0, 2:] += torch.tensor([0.0, 0.0, 0.25])
     # part 1: each keypoint is 0.25 away both ways; part 0: nothing; mean over four keypoints, two directions
-    assert losses.part_chamfer(a, b, PART) == pytest.approx(0.25, abs=1e-4)
+    assert losses.part_chamfer(a, b, PARTS) == pytest.approx(0.25, abs=1e-4)
 
 
 def test_surface_loss_is_one_sided_and_part_level():
-    points = torch.tensor([[[0.0, 0, 0.3], [1, 0, 0.3], [5, 5, 5], [0, 2, 0.5]]])
-    labels = torch.tensor([[0, 0, 0, 1]])
+    clouds = torch.tensor([[[0.0, 0, 0.3], [1, 0, 0.3], [5, 5, 5]]]), torch.tensor([[[0.0, 2, 0.5]]])
     expected = (0.3 + 0.3 + 0.5 + 0.5) / 4
-    assert losses.surface_loss(keypoints(), PART, points, labels) == pytest.approx(expected, abs=1e-5)
+    assert losses.surface_loss(keypoints(), PARTS, clouds) == pytest.approx(expected, abs=1e-5)
 
 
 def test_coverage_is_zero_when_keypoints_span_the_box():
-    low, high = losses.part_extents(keypoints(), (PART[None] == torch.arange(2)[:, None])[None])
+    low, high = losses.part_boxes([keypoints()[:, of] for of in PARTS])
     # flat directions count as at least 0.02 thick, which the keypoints cannot span: only those may cost
     box = torch.tensor([[[0.0, 0, 0], [0.0, 2, 0]]]), torch.tensor([[[1.0, 0, 0], [0.0, 2, 1]]])
     assert torch.equal(low, box[0])
     assert torch.equal(high, box[1])
     corners = torch.tensor([[[0.0, 0, 0], [1, 1, 1]]])
-    part = torch.tensor([0, 0])
+    part = (slice(0, 2),)
     exact = losses.coverage_loss(corners, part, torch.zeros(1, 1, 3), torch.ones(1, 1, 3))
     short = losses.coverage_loss(corners * 0.5, part, torch.zeros(1, 1, 3), torch.ones(1, 1, 3))
     assert exact == pytest.approx(0, abs=1e-6)

@@ -18,7 +18,7 @@ from omad.common.lazy import lazy_imports
 from omad.sensing.input_options import FrameOptions, InputOptions
 
 from .answer import Answer
-from .options import CategoryCommand, Fast, check_positive
+from .options import CategoryCommand, Fast, check_positive, check_workers
 
 with lazy_imports():
     from omad.applications.bulk.results import Results
@@ -52,12 +52,11 @@ class Bulk(CategoryCommand):
 
     def run(self) -> Answer:
         check_positive(depth_scale=self.reading.depth_scale, batch=self.batch)
-        if self.workers < 0:
-            raise InputError(f"--workers {self.workers}: must be at least 1, or 0 for one a core")
+        workers = check_workers(self.workers)
         source = open_sources(self.inputs, self.reading, self.frame)
         results = Results.open(self.output, self._made_of(source), self.batch)
         estimator, earlier, began = self.estimator(self.fast), results.done, time.perf_counter()
-        found = estimate_stream(estimator, _rest(source, results), self.workers, self.batch)
+        found = estimate_stream(estimator, _rest(source, results), workers, self.batch)
         refused = 0
         for outcome in progress(results.add(found), source.total, "image", earlier, every=30.0):
             if outcome.refused is not None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 import sys
 import time
@@ -16,7 +15,7 @@ import tyro
 from tyro.conf import OmitArgPrefixes
 
 import omad
-from omad.common.errors import InputError
+from omad.common.errors import InputError, named
 from omad.common.files import write_json
 from omad.common.lazy import lazy_imports
 from omad.sensing.input_options import FrameOptions, InputOptions
@@ -25,20 +24,19 @@ from .answer import Answer, state, state_and_std, table
 from .options import BUILT_IN, OWN, CategoriesCommand, CategoryCommand, Fast, check_positive
 
 with lazy_imports():
-    from numpy import array, stack
+    from numpy import stack
 
     from omad.applications.detection import picture as detection_picture
     from omad.applications.detection.cutting import ObjectFinder
     from omad.applications.detection.detector import Detector
     from omad.estimation import world
     from omad.estimation.category_ranking import Candidate, rank, suspected
-    from omad.estimation.checks import Check, doubts, is_doubtful
+    from omad.estimation.checks import Check, camera_doubts, doubts, is_doubtful
     from omad.estimation.several_views import contradictions
     from omad.model.checkpoint import shipped_categories
     from omad.output import picture
     from omad.output.formats import check_formats, save_formats
     from omad.output.page import save_html
-    from omad.sensing import depth_files
     from omad.sensing.camera_files import read_transform
     from omad.sensing.reader import InputReader, input_files, parse_numbers
 
@@ -65,7 +63,8 @@ class EstimateCommand(CategoryCommand):
     reading: OmitArgPrefixes[InputOptions] = InputOptions()
     frame: OmitArgPrefixes[FrameOptions] = FrameOptions()
     world: Path | None = None
-    """T_world_camera, 4x4 text or NPY, or JSON with it: the answer is given in the world frame, too."""
+    """T_world_camera, 4x4 text or NPY, or JSON with it: the answer is given in the world frame, z up, too, and
+    --formats are written in it."""
     together: tuple[Path, ...] = ()
     """T_world_camera of every input, a file each, in their order: the inputs are views of one object at one moment, and
     get one answer."""
@@ -80,7 +79,8 @@ class EstimateCommand(CategoryCommand):
     output: Path = Path("omad-estimate")
     """Folder for results, one sub-folder an input."""
     formats: tuple[str, ...] = ()
-    """Write these, too: urdf (in the camera frame, with masses), ply, glb (animated), ros (JSON), rrd (Rerun)."""
+    """Write these, too, in the camera's frame or that of --world: urdf (with masses), mjcf (MuJoCo), usd, ply, glb
+    (animated), ros (JSON), rrd (Rerun)."""
 
     def run(self) -> Answer:
         check_positive(depth_scale=self.reading.depth_scale)
@@ -89,7 +89,7 @@ class EstimateCommand(CategoryCommand):
         one = len(self.inputs) == 1 and files[0] == self.inputs[0]
         reader = InputReader.of(self.reading, files, self.frame)
         poses = self._poses(len(files))
-        known, auto = _known(self.gravity, poses[0] if poses else None), self.category == AUTO
+        known, auto = world.known_gravity(self.gravity, poses[0] if poses else None), self.category == AUTO
         if auto and (self.weights is not None or self.together):
             option = "--together" if self.together else "--weights"
             raise InputError(f"--category auto: does not go with {option}; leave that out, or name a category")
@@ -104,13 +104,14 @@ class EstimateCommand(CategoryCommand):
         for file, name in zip(files, _folder_names(files), strict=True):
             try:
                 view = _Read.of(file, name, reader)
+                with named(file):
+                    found = solver(view.observation, reader.metres_per_number(file))
             except InputError as error:
                 if one:
                     raise
                 print(f"omad: {error}", file=sys.stderr)
                 refused.append({"input": str(file), "reason": str(error)})
                 continue
-            found = solver(view.observation, _metres_per_number(file, self.reading.depth_scale))
             results.append(self._finish(view, found, poses[0] if poses else None))
         code = 2 if refused else self._code(results, any)
         if one:
@@ -144,19 +145,21 @@ class EstimateCommand(CategoryCommand):
             record = found.to_dict()
             if T_world_camera is not None:
                 record["world"] = world.in_world(found.estimate, T_world_camera)
-            self._write(view.observation, found, folder, view.file)
+            self._write(view.observation, found, folder, view.file, T_world_camera)
         write_json(folder / "estimate.json", record)
         return {"input": str(view.file), "output": str(folder), **record}
 
-    def _write(self, observation: omad.Observation, found: _Found, folder: Path, file: Path) -> None:
+    def _write(
+        self, observation: omad.Observation, found: _Found, folder: Path, file: Path, T_world_camera: Any
+    ) -> None:
         """All files of one input but the JSON, and what a person should read of it on stderr."""
         estimate = found.estimate
         estimate.save_urdf(folder / "object.urdf")
         picture.save(picture.figure(observation, estimate, title=file.name), folder / "estimate.png")
         doubts = observation.warnings + tuple(str(check) for check in found.checks)
         save_html(observation, replace(estimate, warnings=doubts), folder / "estimate.html", title=file.name)
-        save_formats(estimate, observation, folder, self.formats)
-        joints = ", ".join(map(picture.describe, estimate.joints))
+        save_formats(estimate, observation, folder, self.formats, T_world_camera)
+        joints = ", ".join(map(str, estimate.joints))
         name = f"{estimate.category.name}: " if self.category == AUTO else ""
         notes = [picture.how_sure(estimate), "" if estimate.converged else "not converged"]
         note = ", ".join(filter(None, notes))
@@ -202,7 +205,10 @@ class Detect(CategoriesCommand):
         seconds = {"load": loaded - began, "detect": time.perf_counter() - loaded}
         record = {"input": str(self.input), "objects": [one.to_dict() for one in found], "seconds": seconds}
         record |= {"lowest": look.lowest, "too_flat": look.too_flat}
-        write_json(self.output / "detect.json", record | {"warnings": list(frame.warnings)})
+        warnings = [*frame.warnings, *look.doubts]
+        for warning in warnings:
+            print(f"{self.input}: warning: {warning}", file=sys.stderr)
+        write_json(self.output / "detect.json", record | {"warnings": warnings})
         picture.save(detection_picture.figure(frame, found, self.input.name), self.output / "detect.png")
         named = sum(one.category is not None for one in found)
         print(f"{self.input}: {named} objects, {len(found) - named} other things -> {self.output}", file=sys.stderr)
@@ -256,7 +262,7 @@ def results_text(answer: dict[str, Any]) -> str:
 
 
 def _travel(joint: dict[str, Any]) -> str:
-    return "-" if joint["fraction"] is None else f"{joint['fraction']:.0%}"
+    return "-" if joint["fraction"] is None else f"{round(joint['fraction'], 2) + 0.0:.0%}"  # 0.0: no minus before zero
 
 
 def _vector(values: list[float] | None) -> str:
@@ -322,12 +328,19 @@ class _Solver:
 
     def __call__(self, observation: omad.Observation, depth_scale: float | None) -> _Found:
         if self.chosen is None:
-            ranked = rank(observation, self.all, self.known)
+            if not (ranked := rank(observation, self.all, self.known)):
+                raise InputError("is of none of the categories, at no size; check depth scale, mask and intrinsics")
             best = ranked[0].estimate
             return _Found(best, doubts(observation, best, depth_scale), ranked, none=bool(best.doubtful))
-        estimate = self.chosen(observation, self.known)
+        chosen = self.chosen
+        estimate = chosen(observation, self.known)
         checks, ranked = doubts(observation, estimate, depth_scale), []
-        if checks or self.compare:
+        if not estimate.is_finite:
+            raise InputError(f"no answer: {checks[0]}")
+        if not checks and estimate.is_finite:
+            checks += camera_doubts(observation, estimate, lambda views: chosen(views, self.known))
+        odd_size = any(check.name == "size" for check in checks)  # of which every category says anything
+        if (checks and not odd_size) or self.compare:
             ranked = rank(observation, self.all, self.known)
             checks += suspected(estimate, ranked)
         return _Found(estimate, checks, ranked)
@@ -351,27 +364,6 @@ class _Solver:
         found = [self.chosen] if self.chosen else []
         others = sorted({*shipped_categories()} - {estimator.category.name for estimator in found})
         return found + [omad.Estimator.from_pretrained(name, self.device) for name in others]
-
-
-def _known(gravity: str | None, T_world_camera: Any) -> omad.Known:
-    """What the options say of the object. Raises InputError."""
-    if gravity is None:
-        return omad.Known()
-    if gravity != "world":
-        down = parse_numbers(gravity, 3, "--gravity")
-        if not 0 < math.hypot(*down) < math.inf:
-            raise InputError(f"--gravity {gravity}: has no direction; give x,y,z in the camera frame")
-        return omad.Known(gravity=array(down))
-    if T_world_camera is None:
-        raise InputError("--gravity world: needs --world FILE (or --together) with T_world_camera, z up")
-    return omad.Known(gravity=world.gravity_in_camera(T_world_camera))
-
-
-def _metres_per_number(file: Path, given: float | None) -> float | None:
-    """Of a depth image or cloud, where that can be told from the file's name."""
-    if given is not None:
-        return given
-    return 1.0 if depth_files.is_cloud(file) else depth_files.MILLIMETRES if file.suffix.lower() == ".png" else None
 
 
 def _folder_names(files: Sequence[Path]) -> list[str]:

@@ -16,6 +16,7 @@ import omad
 from omad.common.errors import InputError
 from omad.common.files import make_folder
 from omad.common.lazy import lazy_imports
+from omad.common.user_cache import kept_at
 
 from .answer import Answer, table
 from .options import CategoryCommand, Device, Fast, Json, Models, Views, check_positive, checkpoints, load_prior
@@ -150,7 +151,7 @@ class SpoiltViews(Models):
     """Of each row, dealt out to the objects; of images, evenly over all of them."""
 
     def views_of(self, category: Category) -> ViewSource:
-        return load_views(self.source, category, self.objects, self.views, self.seed, False, "refuse")
+        return load_views(self.source, category, self.objects, self.views, self.seed, "off", "refuse")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -274,8 +275,8 @@ class EvalRetrieval:
     """Galleries that the scores are averaged over."""
     queries: int = 100
     """Of each gallery."""
-    cache: Path = Path("omad-retrieval")
-    """Folder of signatures. Those of other weights, settings or data are refused."""
+    cache: Path | None = None
+    """Folder of signatures; those of other weights, settings or data are refused. Default: in the user's cache."""
     weights: Path | None = None
     """Folder with a sub-folder a category in place of the shipped weights: <category>/ of OMADNet, and in it siamese/
     of the Siamese network. Without the latter that is left out."""
@@ -308,17 +309,21 @@ class EvalRetrieval:
     def _pool(self, estimator: omad.Estimator, folder: Path) -> tuple[Pool, ndarray | None]:
         """From the cache as far as they are there; the rest is made, and put there."""
         data, category, siamese = self.data, estimator.category, folder / "siamese"
-        cache = self.cache / category.name
-        make_folder(cache)
+        cache = None if self.cache is None else self.cache / category.name
         total, identity = data.load(category).total, data.identity(category)
         made_of = identity | {"weights": weights_identity(folder), "settings": repr(estimator.config)}
 
         def described(name: str, made_of: dict[str, str], make: Any) -> dict[str, ndarray]:
-            return described_in_shards(cache / name, made_of, total, lambda skip: data.load(category, skip).views, make)
+            folder = kept_at(cache, "retrieval", name if cache else f"{category.name}-{name}", made_of)
+            make_folder(folder)
+            return described_in_shards(folder, made_of, total, lambda skip: data.load(category, skip).views, make)
 
         pool = Pool(**described("omad", made_of, partial(describe_with_omad, estimator)))
         if not is_checkpoint(siamese):
-            print(f"{category.name}: no weights in {siamese}; omad train siamese makes them", file=sys.stderr)
+            print(
+                f"{category.name}: no weights in {siamese}; pip install 'omad[baselines]', or omad train siamese",
+                file=sys.stderr,
+            )
             return pool, None
         encoder = SiameseEncoder.from_folder(siamese, self.device)
         made_of = identity | {"weights": weights_identity(siamese)}

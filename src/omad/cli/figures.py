@@ -113,7 +113,8 @@ class FigureSweep(_Drawing):
             if result.estimate is None:
                 raise InputError(f"{self.source}: the first view shows too little of a {category.name}; try --seed")
             joints.append(sweep.joint_sweep(result.view, result.estimate, self.steps))
-            shapes.append(sweep.shape_sweep(prior, category, min(self.directions, prior.basis_size)))
+            count = min(self.directions, prior.basis_size)
+            shapes.append(sweep.shape_sweep(prior, category, count, estimator.surfaces))
         pictures = {"sweep-joints": sweep.draw_joints(joints), "sweep-shapes": sweep.draw_shapes(shapes)}
         both = zip(joints, shapes, strict=True)
         numbers = [{"joints": sweep.record_joints(a), "shapes": sweep.record_shapes(b)} for a, b in both]

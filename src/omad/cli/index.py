@@ -72,7 +72,7 @@ class IndexBuild(CategoryCommand):
         folder, category, own = Path(self.source), estimator.category, self.source != "procedural"
         refused: list[dict[str, str]] = []
         if kind_of(self.source).images is not None:
-            views = load_views(self.source, category, 1, 1, self.seed, False, self.broken)
+            views = load_views(self.source, category, 1, 1, self.seed, "off", self.broken)
             seen, refused = catalogue.seen_views(views.views, views.total, self.source, views.refused), views.refused
         elif own and not next(folder.rglob("*.urdf"), None) and (files := files_in(folder, "**/[!.]*")):
             seen = self._read(folder, files, refused)

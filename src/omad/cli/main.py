@@ -29,7 +29,8 @@ from .models import Generate, Import, Render
 from .paper import EvalAblation, EvalTable1, EvalTable2
 from .shipped import Compile, Demo, Export, Info
 from .track import Track
-from .train import TrainAncsh, TrainConfidence, TrainNet, TrainPrior, TrainSiamese, TrainSurface
+from .training.all import TrainAll
+from .training.networks import TrainAncsh, TrainConfidence, TrainNet, TrainPrior, TrainSiamese, TrainSurface
 
 ABOUT = (
     "Shape, pose, joint states and joint axes of unseen articulated objects from one depth view."
@@ -47,7 +48,7 @@ class Group:
 
 
 _TRAIN = {"prior": TrainPrior, "net": TrainNet, "confidence": TrainConfidence, "surface": TrainSurface}
-_TRAIN |= {"ancsh": TrainAncsh, "siamese": TrainSiamese}
+_TRAIN |= {"all": TrainAll, "ancsh": TrainAncsh, "siamese": TrainSiamese}
 _EVAL = {"pose": EvalPose, "keypoints": EvalKeypoints, "views": EvalViews, "table1": EvalTable1, "table2": EvalTable2}
 _EVAL |= {"shape": EvalShape, "ablation": EvalAblation, "retrieval": EvalRetrieval, "robustness": EvalRobustness}
 _FIGURE = {"qualitative": FigureQualitative, "keypoints": FigureKeypoints, "sweep": FigureSweep}
@@ -129,6 +130,8 @@ def check_paths(options: Any) -> None:
             elif isinstance(path, Path):
                 try:
                     path.exists()
+                    if "\0" in str(path):  # which is not there, for some versions of Python
+                        raise ValueError("embedded null byte")
                 except (OSError, ValueError) as error:
                     reason = error.strerror if isinstance(error, OSError) else error
                     raise InputError(f"{shown(path)}: cannot be the path of a file ({reason}); give another") from error

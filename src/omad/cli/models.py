@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import tyro
 
@@ -11,18 +11,19 @@ from omad.common.errors import InputError
 from omad.common.lazy import lazy_imports
 
 from .answer import Answer
-from .options import CategoryName, Json, Seed, check_positive
+from .options import CategoryName, DepthNoise, Json, Seed, Split, check_positive, check_workers
 
 with lazy_imports():
     from omad.data.artimage import write_artimage
-    from omad.data.procedural import generate
-    from omad.data.rendering import depth_noise
+    from omad.data.rendering import depth_noise as noises
     from omad.data.rendering.view_folder import render_to_folder
     from omad.data.source import load_models
     from omad.data.urdf_import.importing import import_folder
     from omad.objects.urdf import write_urdf
     from omad.output.contact_sheet import contact_sheet
     from omad.output.picture import save
+
+OF_ALL = "Of procedural objects, test: such that no training has seen; layout artimage: of all whose name is no number."
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,16 +35,16 @@ class Generate:
     """Folder for a sub-folder an object, each with its URDF and meshes."""
     objects: int = 10
     """How many."""
-    split: Literal["train", "test"] = "train"
-    """test: objects that no training has seen."""
+    split: Split = "test"
+    source: str = "procedural"
+    """procedural, or a generator of your own (.py), which is run."""
     seed: Seed = 0
     json: Json = False
 
     def run(self) -> Answer:
         check_positive(objects=self.objects)
         category, files = omad.get_category(self.category), []
-        for index in range(self.objects):
-            model = generate(category, index, self.split, self.seed)
+        for model in load_models(self.source, category, self.objects, self.split, self.seed).models:
             files.append(str(self.output / model.name / f"{model.name}.urdf"))
             write_urdf(model, files[-1])
         return Answer({"category": category.name, "files": files})
@@ -101,34 +102,35 @@ class Render:
     output: Path
     """Folder for the views; the same command goes on in it, another one is refused."""
     source: str = "procedural"
-    """procedural, or a folder of URDF / PartNet-Mobility models."""
+    """procedural, a generator of your own (.py), which is run, or a folder of URDF / PartNet-Mobility models."""
     objects: int = 20
     """Procedural objects."""
-    split: Literal["train", "test"] = "test"
-    """Of the procedural objects; layout artimage: of all whose name is no number, as those are split by it."""
+    split: Annotated[Split, tyro.conf.arg(help=OF_ALL)] = "test"
     layout: Literal["omad", "artimage"] = "omad"
     """artimage: as the ArtImage data set is laid out; another run adds another split or category to the same folder."""
     views: int = 200
     """In total, dealt out to the objects."""
     seed: Seed = 0
-    noise: Literal["off", "half", "on", "double"] = "off"
-    """Camera noise."""
+    depth_noise: DepthNoise = "off"
     clutter: bool = False
     """Scenes as cameras see them: surroundings, occluders, borders, several cameras and their noise, wrong masks, all
     at random. docs/robustness.md says what is written."""
-    processes: int = 1
-    """That render at a time; the views are the same for any number."""
+    workers: int = 1
+    """Processes that render at a time; 0: one a core. The views are the same for any number."""
     json: Json = False
 
     def run(self) -> Answer:
-        check_positive(objects=self.objects, views=self.views, processes=self.processes)
-        if self.clutter and (self.noise != "off" or self.layout != "omad"):
-            raise InputError("--clutter: has noise of its own, and no layout but omad; leave out --noise and --layout")
+        check_positive(objects=self.objects, views=self.views)
+        workers = check_workers(self.workers)
+        if self.clutter and (self.depth_noise != "off" or self.layout != "omad"):
+            raise InputError(
+                "--clutter: has noise of its own, and no layout but omad; leave out --depth-noise and --layout"
+            )
         category = omad.get_category(self.category)
         source = load_models(self.source, category, self.objects, self.split, self.seed)
-        noise, drawn = depth_noise.LEVELS[self.noise], (source.models, category, self.output, self.views)
+        noise, drawn = noises.LEVELS[self.depth_noise], (source.models, category, self.output, self.views)
         if self.layout == "artimage":
-            write_artimage(*drawn, self.split, self.seed, noise, self.processes, progress=True)
+            write_artimage(*drawn, self.split, self.seed, noise, workers, progress=True)
         else:
-            render_to_folder(*drawn, self.seed, noise, self.processes, progress=True, clutter=self.clutter)
+            render_to_folder(*drawn, self.seed, noise, workers, progress=True, clutter=self.clutter)
         return Answer({"folder": str(self.output), "views": self.views, "refused": source.refused})

@@ -18,7 +18,7 @@ from omad.objects.builtin import builtin_names
 with lazy_imports():
     from torch import set_num_threads
 
-    from omad.common.runtime import keep_freed_memory, pick_device
+    from omad.common.runtime import cores, keep_freed_memory, pick_device
     from omad.data.source import ModelSource, ViewSource, load_models, load_views
     from omad.evaluation.paper.predictions import data_identity
     from omad.model import checkpoint
@@ -36,8 +36,13 @@ CategoryName = Annotated[str, tyro.conf.arg(help=f"{BUILT_IN}; {OWN}")]
 Seed = Annotated[int, tyro.conf.arg(help="Another seed, other random choices.")]
 Json = Annotated[bool, tyro.conf.arg(help="Print one JSON object on stdout and nothing else there.")]
 Device = Annotated[str, tyro.conf.arg(help="cpu, cuda, or auto: CUDA where there is one.")]
-Weights = Annotated[Path | None, tyro.conf.arg(help="Checkpoint folder in place of the shipped weights.")]
+Weights = Annotated[
+    Path | None, tyro.conf.arg(help="Checkpoint folder, or its address, in place of the shipped weights.")
+]
 Fast = Annotated[bool, tyro.conf.arg(help="Look half as often: nearly twice as fast, a little less accurate.")]
+Split = Annotated[Literal["train", "test"], tyro.conf.arg(help="test: objects that no training has seen.")]
+_NOISE = "How much of a stereo camera's noise is simulated; folders of images have their own."
+DepthNoise = Annotated[Literal["off", "half", "on", "double"], tyro.conf.arg(help=_NOISE)]
 _BROKEN = "Broken files of an ArtImage root: refuse the root, or skip what they belong to and list it."
 BrokenFiles = Annotated[Literal["refuse", "skip"], tyro.conf.arg(help=_BROKEN)]
 
@@ -86,7 +91,8 @@ class Models:
     """The object models to measure on."""
 
     source: str = "procedural"
-    """procedural, unusual (its odd members), or a folder of URDF / PartNet-Mobility models."""
+    """procedural, unusual (its odd members), mirrored (of the other hand), a generator of your own (.py), or a folder
+    of URDF / PartNet-Mobility models."""
     objects: int = 20
     """Procedural objects a category."""
     seed: Seed = 0
@@ -101,15 +107,14 @@ class Views:
     """The views to measure on."""
 
     source: str = "procedural"
-    """procedural, unusual (its odd members), a folder of URDF / PartNet-Mobility models, an ArtImage root (its test
-    split), or a folder that ``omad render`` made."""
+    """procedural, unusual (its odd members), mirrored (of the other hand), a folder of models, an ArtImage root (its
+    test split), or a folder that ``omad render`` made."""
     objects: int = 20
     """Procedural objects a category."""
     views: int = 200
     """A category, dealt out to the objects; ``omad eval`` takes all of a rendered folder or an ArtImage root."""
     seed: Seed = 0
-    depth_noise: bool = False
-    """Simulate the depth camera's noise; a rendered folder has its own."""
+    depth_noise: DepthNoise = "off"
     broken: BrokenFiles = "refuse"
 
     @property
@@ -166,13 +171,20 @@ def check_positive(**options: float | None) -> None:
             raise InputError(f"--{name.replace('_', '-')} {value}: must be {need}")
 
 
+def check_workers(workers: int) -> int:
+    """How many that are. Raises InputError for a negative number."""
+    if workers < 0:
+        raise InputError(f"--workers {workers}: must be at least 1, or 0 for one a core")
+    return min(workers, MOST_THREADS) or cores()
+
+
 def check_seed(seed: int) -> None:
     """Raises InputError for a number that no generator takes."""
     if not 0 <= seed < 2**32:
         raise InputError(f"--seed {shown(seed)}: must be a whole number from 0, below 2**32")
 
 
-def check_category(option: str, folder: Path | None, found: Category, wanted: str) -> None:
+def check_category(option: str, folder: Path | str | None, found: Category, wanted: str) -> None:
     """Raises InputError where the checkpoint ``folder`` given with ``option`` is of another category than wanted: of
     another name, or trained with a spec file whose parts and joints were others."""
     spec = read_spec(wanted) if is_spec_file(wanted) else None

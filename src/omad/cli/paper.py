@@ -36,8 +36,8 @@ class _Table(CategoriesCommand):
     """Methods measured on the same views of several categories."""
 
     data: OmitArgPrefixes[Views] = Views()
-    cache: Path = Path("omad-predictions")
-    """Folder of predictions. Those of other weights, settings or data are refused."""
+    cache: Path | None = None
+    """Folder of predictions; those of other weights, settings or data are refused. Default: in the user's cache."""
     metrics: Literal["ours", "released"] = "ours"
     """released: errors as the authors' own evaluation counts them (docs/experiments.md says where it differs)."""
 
@@ -63,9 +63,9 @@ class EvalTable1(_Table):
                 made_of = {"weights": weights_identity(weights), "settings": repr(ancsh.config)}
                 methods["ancsh"] = Predictor(lambda seen, ancsh=ancsh: ancsh([seen])[0], made_of)
             else:
-                reason = f"no weights in {weights}; omad train ancsh makes them"
+                reason = f"no weights in {weights}; pip install 'omad[baselines]', or omad train ancsh"
                 left_out.append({"category": category.name, "method": "ancsh", "reason": reason})
-            truths, said = _predictions(self.data, self.cache / category.name, category, methods)
+            truths, said = _predictions(self.data, self.cache and self.cache / category.name, category, methods)
             own = rows(truths, said, category, self.metrics)
             lines += own
             compared[category.name] = comparison(own)
@@ -95,7 +95,7 @@ class EvalTable2(_Table):
                     methods[method] = _method(omad.Estimator.from_pretrained(checkpoint, self.device), checkpoint)
                 else:
                     missing[method] = f"no {checkpoint}; omad eval ablation --category {category.name} makes it"
-            truths, said = _predictions(self.data, self.cache / category.name, category, methods)
+            truths, said = _predictions(self.data, self.cache and self.cache / category.name, category, methods)
             bound = self._true_keypoints(estimator, folder)
             if bound is None:
                 missing["true keypoints"] = f"{self.data.source} holds images without their complete objects"
@@ -128,9 +128,9 @@ class EvalAblation:
     commands with other --variants may run side by side; the table lists what is not trained yet."""
 
     category: CategoryName = "laptop"
-    data: OmitArgPrefixes[Views] = Views(depth_noise=True)
-    cache: Path = Path("omad-predictions")
-    """Folder of predictions. Those of other weights, settings or data are refused."""
+    data: OmitArgPrefixes[Views] = Views(depth_noise="on")
+    cache: Path | None = None
+    """Folder of predictions; those of other weights, settings or data are refused. Default: in the user's cache."""
     samples: int = 16_000
     """Views that a variant's network is trained on; its prior sees twice as many clouds."""
     variants: tuple[str, ...] = ()
@@ -169,7 +169,9 @@ class EvalAblation:
                 methods[name] = _method(omad.Estimator(load(OmadNet, checkpoint), variant.config, device), checkpoint)
             else:
                 missing.append(name)
-        truths, said = _predictions(self.data, self.cache / category.name / "ablation", category, methods)
+        truths, said = _predictions(
+            self.data, self.cache and self.cache / category.name / "ablation", category, methods
+        )
         record = {"ablation": category.name, "samples": self.samples, "depth_noise": self.data.depth_noise}
         lines = [row(name, truths, said[name], category) for name in methods]
         return Answer(record | {"rows": lines, "not_trained": missing}, ablation_text)
@@ -193,7 +195,7 @@ def _method(estimator: omad.Estimator, weights: Path) -> Predictor:
 
 
 def _predictions(
-    data: Views, cache: Path, category: Category, methods: dict[str, Predictor]
+    data: Views, cache: Path | None, category: Category, methods: dict[str, Predictor]
 ) -> tuple[Truths, dict[str, Predictions]]:
     """What the methods say of the views, from the cache as far as it is there. Raises InputError."""
     return kept_or_made(cache, data.identity(category), methods, category, lambda: data.load(category))

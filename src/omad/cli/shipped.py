@@ -25,6 +25,7 @@ with lazy_imports():
     from omad.estimation.confidence.model import Confidence
     from omad.evaluation.demo import run_demo
     from omad.model.checkpoint import find_weights, load, save, shipped_categories
+    from omad.model.fetched import write_manifest
     from omad.model.omadnet import OmadNet
     from omad.model.surfaces.bank import bank_beside
 
@@ -64,12 +65,15 @@ def demo_text(answer: dict[str, Any]) -> str:
             apart = "-" if distance is None else f"{1000 * distance:.0f} mm"
             row = [result["object"], joint["name"], state_and_std(joint), state(joint, truth)]
             rows.append([*row, f"{errors['axis_deg'][j]:.1f}°", apart, f"{errors['rotation_deg'][0]:.1f}°"])
-    return "\n".join([table(rows), "", "pictures:", *(file for file in answer["files"] if file.endswith(".png"))])
+    lists = {"pictures": ".png", "pages for the browser, with sliders": ".html"}
+    files = [[f"{name}:", *(f for f in answer["files"] if f.endswith(end))] for name, end in lists.items()]
+    return "\n".join([table(rows), *(line for listed in files for line in ("", *listed))])
 
 
 @dataclass(frozen=True, kw_only=True)
 class Export:
-    """Write a checkpoint folder that is complete alone (network, prior, category, surfaces), for other programs."""
+    """Write a checkpoint folder that is complete alone (network, prior, category, surfaces), for other programs, and to
+    be fetched from where it is put: --weights and Estimator.from_pretrained take its address."""
 
     category: CategoryName
     output: Path
@@ -96,7 +100,8 @@ class Export:
         if (bank := bank_beside(source)) is not None:
             write_atomic(self.output / bank.name, lambda path: path.write_bytes(bank.read_bytes()))
             files.append(bank.name)
-        return Answer({"folder": str(self.output), "files": files})
+        write_manifest(self.output)
+        return Answer({"folder": str(self.output), "files": [*files, "manifest.json"]})
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,47 +1,85 @@
-"""``omad track``: follow one object through a folder or a stream of frames."""
+"""``omad track``: follow one object through a folder, a stream, a recording or a camera's frames."""
 
 import sys
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, Literal
 
 from tyro.conf import OmitArgPrefixes, Positional
 
 from omad.common.errors import InputError
 from omad.common.lazy import lazy_imports
-from omad.sensing.input_options import InputOptions
+from omad.sensing.input_options import FrameOptions, InputOptions
 
 from .answer import Answer, as_json, as_lines
 from .options import CategoryCommand, Fast, check_positive
 
 with lazy_imports():
+    from omad.applications.detection.cutting import ObjectFinder
+    from omad.applications.detection.detector import Detector
     from omad.applications.tracking.frames import Clock, frames_from, frames_of, read_times, read_truth
     from omad.applications.tracking.motion import MotionConfig
     from omad.applications.tracking.pictures import Film
+    from omad.applications.tracking.places import CameraPlaces
+    from omad.applications.tracking.recorder import Recorder
     from omad.applications.tracking.sequence import TrackedSequence
+    from omad.applications.tracking.streams import FrameReader, recorded, taken
     from omad.applications.tracking.tracker import Tracker, TrackerConfig
     from omad.common.runtime import keep_freed_memory
+    from omad.output.formats import check_formats
+    from omad.sensing.foreign import realsense
+    from omad.sensing.foreign.bags import Topics, is_bag
 
 STREAM = Path("-")
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Which topics of a recording are what; without, they are told by the kind of their messages."""
+
+    depth_topic: str | None = None
+    """sensor_msgs/Image or CompressedImage of depth."""
+    info_topic: str | None = None
+    """sensor_msgs/CameraInfo of the depth camera; not needed with --intrinsics."""
+    color_topic: str | None = None
+    """sensor_msgs/Image of colours that lie on the depth image, for pictures."""
+    mask_topic: str | None = None
+    """sensor_msgs/Image, not zero where the object is."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Track(CategoryCommand):
     """Follow one object through frames: a line of JSON a frame (joint states, standard deviations, pose, axes, status),
-    a summary, a table and a plot of joint states over time.
+    a page with a slider for time (track.html), a summary, a table and a plot of joint states over time.
 
-    FRAMES is a folder of depth images or clouds, or - for a stream: file names on stdin, one a line, each answered on
-    stdout by a line of JSON as soon as it is read; the last line is the summary.
+    FRAMES is a folder of depth images or clouds; a recording (ROS 2 MCAP or .db3, ROS 1 or RealSense .bag); or - for a
+    stream: file names on stdin, one a line, each answered on stdout by a line of JSON as soon as it is read; the last
+    line is the summary. With --camera realsense there are no FRAMES: a camera is followed until Ctrl-C.
     """
 
-    frames: Positional[Path]
-    """Folder of depth images or clouds, or - for file names on stdin. A frame that cannot be read is named on stderr
-    and under "refused"; tracking goes on without it, and the exit code is 2. A frame without the object is no error."""
+    frames: Positional[Path | None] = None
+    """Folder of depth images or clouds, recording, or - for file names on stdin. A frame that cannot be read is named
+    on stderr and under "refused"; tracking goes on without it, and the exit code is 2. A frame without the object is no
+    error."""
+    camera: Literal["realsense"] | None = None
+    """Follow what a camera sees, in place of FRAMES: realsense (pip install 'omad[realsense]')."""
     reading: OmitArgPrefixes[InputOptions] = InputOptions()
+    frame: OmitArgPrefixes[FrameOptions] = FrameOptions()
+    recording: OmitArgPrefixes[Recording] = Recording()
+    world: Path | None = None
+    """T_world_camera, 4x4 text or NPY, or JSON with it; or a folder with one for each frame, named like it: poses are
+    given in the world frame, too."""
+    gravity: str | None = None
+    """Of an object that stands upright: x,y,z, where down is in the camera frame (y is down in a level camera); or
+    world, for --world with z up."""
     times: Path | None = None
     """CSV with lines name,seconds. Without it, time stamps in the files' names count (10, 13, 16 or 19 digits or a
     decimal point: s, ms, us, ns), or frame numbers in them at --fps."""
     fps: float = 30.0
     """Frames a second, where neither --times nor names hold the time."""
+    most: int | None = None
+    """End after so many frames."""
     fast: Fast = False
     static_base: bool = False
     """Camera and base stand still; only joints move. Steadier where it is true."""
@@ -49,28 +87,65 @@ class Track(CategoryCommand):
     """CSV of true joint states (columns frame and one for each joint, radians or metres), to compare with;
     default: truth.csv in the folder, where there is one."""
     output: Path = Path("omad-track")
-    """Folder for frames.jsonl, states.csv, states.png and summary.json."""
+    """Folder for track.html, frames.jsonl, states.csv, states.png and summary.json."""
+    formats: tuple[str, ...] = ()
+    """Write these of the last frame, too, as omad estimate does, into last/; rrd: a Rerun recording of all frames."""
     gif: bool = False
     """Also a small film of the frames with keypoints and axes, track.gif."""
+    live: bool = False
+    """Show it in the Rerun viewer while it is tracked (pip install 'omad[rerun]')."""
 
     def run(self) -> Answer:
-        check_positive(depth_scale=self.reading.depth_scale, fps=self.fps)
+        check_positive(depth_scale=self.reading.depth_scale, fps=self.fps, most=self.most)
+        check_formats(self.formats)
         stream = self.frames == STREAM
-        if not (stream or self.frames.is_dir()):
-            cure = "give a folder of depth images or clouds, or - for a stream"
-            raise InputError(f"{self.frames}: no such folder; {cure}")
-        clock = Clock(self.fps, None if self.times is None else read_times(self.times))
-        frames = frames_from(sys.stdin, clock) if stream else frames_of(self.frames, clock)
+        places = None if self.world is None else CameraPlaces(self.world)
+        if self.gravity == "world" and places is None:
+            raise InputError("--gravity world: needs --world with T_world_camera, z up")
+        frames = self._frames(stream)
         keep_freed_memory()
         estimator = self.estimator(self.fast)
-        beside = self.frames / "truth.csv"
-        path = self.truth or (beside if not stream and beside.is_file() else None)
+        beside = None if self.frames is None or stream else self.frames / "truth.csv"
+        path = self.truth or (beside if beside is not None and beside.is_file() else None)
         truth = read_truth(path, tuple(joint.name for joint in estimator.category.joints)) if path else None
         tracker = Tracker(estimator, TrackerConfig(motion=MotionConfig(static_base=self.static_base)))
-        sequence = TrackedSequence(tracker, self.reading, self.output, Film() if self.gif else None, stream)
+        reader = FrameReader(self.reading, self.frame, ObjectFinder(Detector([estimator])))
+        sequence = TrackedSequence(
+            tracker, reader, self.output, places, self.gravity, tuple(name for name in self.formats if name != "rrd"),
+            Film() if self.gif else None, self._recorder(), stream,
+        )  # fmt: skip
         try:
             sequence.follow(frames)
+        except KeyboardInterrupt:
+            if self.camera is None:
+                raise
+            print("omad: ended", file=sys.stderr)
         finally:
             sequence.close()
         code = 2 if sequence.refused else 0 if any(one.status == "tracking" for one in sequence.tracked) else 1
         return Answer(sequence.finish(truth), as_json if stream else as_lines, code)
+
+    def _frames(self, stream: bool) -> Iterable[Any]:
+        """Raises InputError where there are none."""
+        if (self.frames is None) == (self.camera is None):
+            raise InputError("FRAMES or --camera: give a folder, a recording or -, or a camera to follow")
+        if self.camera is not None:
+            frames = taken(realsense.open_camera())
+        elif stream:
+            frames = frames_from(sys.stdin, self._clock())
+        elif self.frames is not None and is_bag(self.frames):
+            frames = recorded(self.frames, Topics(**vars(self.recording)))
+        elif self.frames is not None and self.frames.is_dir():
+            frames = frames_of(self.frames, self._clock())
+        else:
+            cure = "give a folder of depth images or clouds, a recording, or - for a stream"
+            raise InputError(f"{self.frames}: no such folder; {cure}")
+        return (frame for _, frame in zip(range(self.most), frames, strict=False)) if self.most else frames
+
+    def _clock(self) -> Any:
+        return Clock(self.fps, None if self.times is None else read_times(self.times))
+
+    def _recorder(self) -> Any:
+        if self.live:
+            return Recorder.to_viewer()
+        return Recorder.to_file(self.output / "track.rrd") if "rrd" in self.formats else None

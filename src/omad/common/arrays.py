@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from torch import Tensor
 
+from .decode import Shape
 from .errors import InputError
 from .files import write_atomic
 from .incoming import parse_json, read_arrays
@@ -21,12 +22,27 @@ def as_numpy(values: Any) -> np.ndarray:
     return values.detach().cpu().numpy() if isinstance(values, Tensor) else np.asarray(values)
 
 
+def numbers(values: Any, *shape: int | None, what: str, unknown: bool = False) -> np.ndarray:
+    """(...) float64 of whatever a caller has, of that shape; None: any number. ``unknown``: NaN may stand for what is
+    not known. Raises InputError for all else, which begins with ``what``."""
+    wanted = Shape(*shape)
+    try:
+        found = np.asarray(as_numpy(values))
+        if found.dtype.kind in "biuf":
+            found = found.astype(np.float64)
+            wanted.array(np.nan_to_num(found, posinf=np.inf, neginf=-np.inf) if unknown else found)
+            return found
+    except Exception as error:  # an object of a stranger's may raise anything when it is made an array
+        raise InputError(f"{what}: expected {wanted}; pass such an array") from error
+    raise InputError(f"{what}: expected {wanted}; pass such an array")
+
+
 def as_doubles(tensor: Tensor) -> np.ndarray:
     """Contiguous float64 array, as compiled loops want it."""
     return np.ascontiguousarray(as_numpy(tensor), dtype=np.float64)
 
 
-def digest_of(tensors: Mapping[str, Tensor]) -> str:
+def digest_of(tensors: Mapping[str, Tensor | np.ndarray]) -> str:
     """Hexadecimal SHA-256 of numbers with their names, kinds and shapes."""
     digest = hashlib.sha256()
     for name, tensor in sorted(tensors.items()):

@@ -25,6 +25,8 @@ def write_atomic(path: str | Path, write: Callable[[Path], Any]) -> None:
     the disk is full."""
     path = Path(path)
     with writing(path), unfinished(path) as temporary:
+        if path.exists() and not path.is_file():  # a device, say, whose place a file would take
+            raise InputError(f"{path}: is there, and is no file; choose another name")
         write(temporary)
         publish(temporary, path)
 

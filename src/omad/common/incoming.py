@@ -8,6 +8,7 @@ import io
 import json
 import math
 import os
+import stat
 import tomllib
 import zipfile
 from collections.abc import Iterator
@@ -79,8 +80,15 @@ def existing(path: Any, what: str) -> Path:
     return found
 
 
+def check_file(path: Path) -> None:
+    """Raises OSError, InputError for what is no file: a pipe would be waited for, a device has no end."""
+    if not stat.S_ISREG(path.stat().st_mode):
+        raise InputError(f"{shown(path)}: is no file; give one")
+
+
 def read_bytes(path: Path, name: str = "data_bytes") -> bytes:
     """All of a file, within the limit called ``name``. Raises OSError, InputError."""
+    check_file(path)
     check_limit(name, path.stat().st_size, f"{path}: the file")
     return path.read_bytes()
 
@@ -135,10 +143,33 @@ def read_toml(path: Path, cure: str) -> dict[str, Any]:
 def read_arrays(path: Path, kind: str, cure: str = "export it again") -> np.ndarray | dict[str, np.ndarray]:
     """The array of an NPY file, or all of an NPZ by name; none of objects. Raises InputError."""
     with readable(path, kind, cure):
+        check_file(path)
         if zipfile.is_zipfile(path):
             return _unpacked(path)
         with path.open("rb") as file:
             return _one_array(file, path.stat().st_size)
+
+
+def map_array(path: Path) -> np.ndarray:
+    """The array of an NPY file, which is read from disk where it is looked at. Raises InputError."""
+    with readable(existing(path, "an array"), "NPY"), path.open("rb") as file:
+        _check_head(file, path.stat().st_size, within_limits=False)
+        return np.load(path, mmap_mode="r", allow_pickle=False)
+
+
+def array_shapes(path: Path) -> dict[str, tuple[int, ...]]:
+    """Of the array of an NPY file, which has no name, or those of an NPZ by name; of the files only the heads are read.
+    Raises InputError."""
+    with readable(existing(path, "an array"), "arrays"):
+        if not zipfile.is_zipfile(path):
+            with path.open("rb") as file:
+                return {"": _check_head(file, path.stat().st_size)}
+        found = {}
+        with zipfile.ZipFile(path) as archive:
+            for member in archive.infolist():
+                with archive.open(member) as file:
+                    found[member.filename.removesuffix(".npy")] = _check_head(file, member.file_size)
+        return found
 
 
 def parse_array(stored: bytes, name: str, cure: str = "export it again") -> np.ndarray:
@@ -161,6 +192,13 @@ def _unpacked(path: Path) -> dict[str, np.ndarray]:
 
 def _one_array(file: Any, size: int) -> np.ndarray:
     """Of a file of ``size`` bytes; its head is read first, since it may claim more than there is."""
+    _check_head(file, size)
+    file.seek(0)
+    return npy.read_array(file, allow_pickle=False)
+
+
+def _check_head(file: Any, size: int, within_limits: bool = True) -> tuple[int, ...]:
+    """The shape of an array of numbers in a file of ``size`` bytes."""
     version = npy.read_magic(file)
     shape, _, dtype = (npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0)(file)
     if dtype.hasobject or dtype.kind == "V":
@@ -168,9 +206,9 @@ def _one_array(file: Any, size: int) -> np.ndarray:
     claimed = math.prod(shape) * dtype.itemsize
     if not 0 <= claimed <= size:
         raise ValueError("it is cut short")
-    check_limit("data_bytes", claimed, "the array")
-    file.seek(0)
-    return npy.read_array(file, allow_pickle=False)
+    if within_limits:
+        check_limit("data_bytes", claimed, "the array")
+    return shape
 
 
 def read_image(
@@ -183,6 +221,8 @@ def read_image(
     if Image.MAX_IMAGE_PIXELS is not None:  # where a user may read larger ones, Pillow is not to refuse them
         Image.MAX_IMAGE_PIXELS = max(Image.MAX_IMAGE_PIXELS, limits().image_pixels)
     with readable(name, "an image", cure):
+        if isinstance(source, Path):
+            check_file(source)
         opened = io.BytesIO(source) if isinstance(source, bytes) else source
         try:
             image = Image.open(opened, formats=IMAGE_FORMATS)

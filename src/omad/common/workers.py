@@ -22,7 +22,8 @@ def helpers(count: int, begin: Callable[..., None], *told: Any) -> ProcessPoolEx
     with suppress(ValueError):  # in another thread than the main one
         before = signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
-        pool.submit(_nothing)
+        for _ in range(count):  # one starts whenever all that are there are busy
+            pool.submit(_nothing)
     finally:
         if before is not None:
             signal.signal(signal.SIGINT, before)

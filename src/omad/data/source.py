@@ -15,10 +15,12 @@ from omad.objects.model import ObjectModel, SampledObject
 
 from .artimage import Broken, is_artimage, open_artimage
 from .procedural import generate
+from .procedural.own import SUFFIX, own_generator
 from .rendering.depth_noise import LEVELS
 from .rendering.standard_views import View, standard_views
 from .rendering.view_folder import is_view_folder, open_views
 from .urdf_import.folder import load_folder
+from .variation import with_variants
 
 Split: TypeAlias = Literal["train", "test"]
 
@@ -105,9 +107,22 @@ def _unusual(source: str, category: Category, objects: int, split: Split, seed: 
     return ModelSource([generate(category, index, "unusual", seed) for index in range(objects)])
 
 
+def _mirrored(source: str, category: Category, objects: int, split: Split, seed: int) -> ModelSource:
+    if not category.either_hand:
+        raise InputError(f"{source}: a {category.name} has one hand (either_hand in its spec); use procedural")
+    return ModelSource([generate(category, index, split, seed).mirrored() for index in range(objects)])
+
+
+def _of_own(source: str, category: Category, objects: int, split: Split, seed: int) -> ModelSource:
+    make = own_generator(source)
+    return ModelSource([generate(category, index, split, seed, make) for index in range(objects)])
+
+
 KINDS: dict[str, SourceKind] = {
     "procedural": SourceKind(lambda source: source == "procedural", models=_generated),
     "unusual": SourceKind(lambda source: source == "unusual", models=_unusual),
+    "mirrored": SourceKind(lambda source: source == "mirrored", models=_mirrored),
+    "generator": SourceKind(lambda source: source.endswith(SUFFIX), models=_of_own),
     "artimage": SourceKind(is_artimage, surfaces=_artimage_surfaces, images=_artimage_images),
     "rendered": SourceKind(is_view_folder, images=_rendered_images),
     "urdf": SourceKind(lambda source: True, models=_urdfs),
@@ -129,28 +144,30 @@ def load_models(source: str, category: Category, objects: int, split: Split, see
 
 
 def load_objects(
-    source: str, category: Category, objects: int, split: Split, seed: int, broken: Broken
+    source: str, category: Category, objects: int, split: Split, seed: int, broken: Broken, variants: int = 0
 ) -> list[SampledObject]:
-    """Complete objects, with or without meshes; those of the test split are what ``load_views`` shows. Raises
-    InputError where there are none."""
+    """Complete objects, with or without meshes; those of the test split are what ``load_views`` shows. Models of one's
+    own, where they are fewer than ``variants``, are varied until there are so many. Raises InputError where there are
+    none."""
     surfaces = kind_of(source).surfaces
     if surfaces is not None:
         return surfaces(source, category, split, broken)
-    return [*load_models(source, category, objects, split, seed).models]
+    models = load_models(source, category, objects, split, seed).models
+    return with_variants(models, category, variants if kind_of(source) is KINDS["urdf"] else 0)
 
 
 def load_views(
-    source: str, category: Category, objects: int, views: int, seed: int, noisy: bool, broken: Broken, skip: int = 0
+    source: str, category: Category, objects: int, views: int, seed: int, noise: str, broken: Broken, skip: int = 0
 ) -> ViewSource:
     """Views to test on: all images that a source holds, else standard views of its models; without the first ``skip``
-    of them, which ``total`` still counts. Raises InputError for a source of another category, and where noise is asked
-    for that only a rendering can have."""
+    of them, which ``total`` still counts. ``noise``: one of ``depth_noise.LEVELS``. Raises InputError for a source of
+    another category, and where noise is asked for that only a rendering can have."""
     images = kind_of(source).images
     if images is None:
         found = load_models(source, category, objects, "test", seed)
-        drawn = standard_views(found.models, category, views, seed, LEVELS["on" if noisy else "off"], skip)
-        return ViewSource(drawn, views, noisy, found.refused, found.models)
-    if noisy:
-        raise InputError(f"{source}: is rendered already; leave out --depth-noise, or render with --noise")
+        drawn = standard_views(found.models, category, views, seed, LEVELS[noise], skip)
+        return ViewSource(drawn, views, noise != "off", found.refused, found.models)
+    if noise != "off":
+        raise InputError(f"{source}: is rendered already; leave out --depth-noise, or render it with that")
     held = images(source, category, broken)
     return replace(held, views=islice(held.views, skip, None))

@@ -84,3 +84,28 @@ class SurfaceBank:
         stretch = scale[:, None]
         axes = normalize(self.axes[indices] * stretch, dim=-1)
         return Joints(axes, self.pivots[indices] * stretch, self.limits[indices])
+
+
+@dataclass(frozen=True)
+class PartSamples:
+    """The samples of a bank by part, to draw as many of each."""
+
+    points: Tensor
+    """(N, S, 3) one part's after the other's."""
+    first: Tensor
+    """(N, K) where each part's begin."""
+    count: Tensor
+    """(N, K) how many there are."""
+
+    @classmethod
+    def of(cls, bank: SurfaceBank, parts: int) -> PartSamples:
+        order = bank.labels.argsort(dim=1, stable=True)
+        count = torch.stack([(bank.labels == part).sum(1) for part in range(parts)], 1)
+        return cls(bank.points.gather(1, order[..., None].expand_as(bank.points)), count.cumsum(1) - count, count)
+
+    def draw(self, indices: Tensor, scale: Tensor, each: int, generator: torch.Generator) -> list[Tensor]:
+        """So many random points (B, each, 3) of every part of the objects ``indices`` (B,), stretched by ``scale``
+        (B, 3) along the canonical axes."""
+        drawn = torch.rand(self.count.shape[1], len(indices), each, device=scale.device, generator=generator)
+        place = (drawn * self.count[indices].T[..., None]).long() + self.first[indices].T[..., None]
+        return list(self.points[indices[:, None], place] * scale[:, None])

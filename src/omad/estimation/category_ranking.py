@@ -1,7 +1,8 @@
 """Which category an object is of: all are tried, and ranked by how well their estimates explain what was seen.
 
-The score is linear in the evidence; its weights were fitted to unseen views of training objects by maximum likelihood
-(``benchmarks/bench_auto_category.py --fit``), the same for every category.
+The score is linear in what speaks against a category; its weights were fitted to unseen views of training objects by
+maximum likelihood (``benchmarks/bench_auto_category.py --fit``), those of pixels beside the others' fixed ratios, the
+same for every category.
 """
 
 from collections.abc import Sequence
@@ -15,13 +16,20 @@ from omad.sensing.observation import Observation
 from .checks import Check
 from .estimate import Estimate
 from .estimator import Estimator
-from .evidence import Evidence, measure_evidence
+from .evidence import Evidence, explanation, measure_evidence
 from .known import Known
 
-LOG_ODDS = np.array([0.52, 2.1, 2.9, 44.0, 36.0])
-"""Per unit of the evidence, in its order."""
+LOG_ODDS = np.array([0.29, 1.2, 1.6, 25.0, 20.0, 5.7, 3.0, 9.2])
+"""Per unit of what speaks ``against`` a category, in its order."""
 SURE = 0.8
 """Probability from which on another category is suspected."""
+
+
+def against(observation: Observation, estimate: Estimate, evidence: Evidence) -> np.ndarray:
+    """(8,) the evidence, and the shares of pixels that the surface does not explain: where it is in front of what was
+    seen, behind it, and missing."""
+    found = explanation(observation, estimate)
+    return np.append(evidence.values, [found.in_front, found.behind, found.missing])
 
 
 @dataclass(frozen=True)
@@ -42,10 +50,16 @@ class Candidate:
 
 
 def rank(observation: Observation, estimators: Sequence[Estimator], known: Known | None = None) -> list[Candidate]:
-    """Each estimator's explanation, best first."""
-    estimates = [estimator(observation, known or Known()) for estimator in estimators]
-    evidence = [measure_evidence(observation, e, by.net.prior) for e, by in zip(estimates, estimators, strict=True)]
-    scores = -np.array([found.values for found in evidence]) @ LOG_ODDS
+    """Each estimator's explanation, best first; without those whose answers are no numbers, as of a cloud many times
+    larger than the category."""
+    rows = [(estimator(observation, known or Known()), estimator.net.prior) for estimator in estimators]
+    rows = [(estimate, prior) for estimate, prior in rows if estimate.is_finite]
+    if not rows:
+        return []
+    estimates = [estimate for estimate, _ in rows]
+    evidence = [measure_evidence(observation, estimate, prior) for estimate, prior in rows]
+    seen = zip(estimates, evidence, strict=True)
+    scores = -np.array([against(observation, estimate, found) for estimate, found in seen]) @ LOG_ODDS
     scores[~np.isfinite(scores)] = -np.inf  # where a number is missing
     odds = np.exp(scores - scores.max())
     found = map(Candidate, estimates, evidence, scores.tolist(), (odds / odds.sum()).tolist())
@@ -54,6 +68,8 @@ def rank(observation: Observation, estimators: Sequence[Estimator], known: Known
 
 def suspected(estimate: Estimate, ranked: Sequence[Candidate]) -> list[Check]:
     """The category that explains the observation much better than the estimate's own, of candidates best first."""
+    if not ranked:
+        return []
     best, name = ranked[0], estimate.category.name
     other = best.estimate.category.name
     if other == name or best.probability < SURE:

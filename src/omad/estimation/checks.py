@@ -1,7 +1,7 @@
 """What to look at where a result is doubtful: each item says what is wrong, why that may be, and what to do."""
 
-from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
@@ -10,6 +10,7 @@ from omad.objects.category import Category
 from omad.sensing.observation import Observation
 
 from .estimate import Estimate
+from .evidence import explanation
 
 USUAL_SIZE = 2.5
 """Diagonal of an object's cloud in category units; 1.5 to 4 in standard views."""
@@ -24,6 +25,13 @@ ODD_SIZE = 4.0
 """A cloud so many times larger or smaller than usual is none of the category at its size."""
 FACTORS = (0.001, 0.01, 0.1, 0.2, 5.0, 10.0, 100.0, 1000.0)
 """By which depth scales are wrong: millimetres for metres, tenths of millimetres or 1/5000 m for millimetres ..."""
+FOCAL_LENGTHS = (0.5, 2 / 3, 0.8, 1.25, 1.5, 2.0)
+"""Of the one given, which may be right instead: those of other sizes of the image."""
+BETTER = 1.5
+"""By how much better model and seen keypoints then fit; with the right one hardly any view of unseen objects does."""
+UNEXPLAINED = 0.25
+"""Share of the pixels of object and surface where the one is where the other is, 0.7 in a usual view, below which they
+are of two things."""
 CUT_OFF = 0.1
 """Pixels at one border of the image from which on the object runs out of it, as a share of its width in pixels."""
 
@@ -33,6 +41,7 @@ class Check:
     """One item."""
 
     name: str
+    """One word, the same for every such check."""
     what: str
     """What is unusual, with numbers."""
     why: str
@@ -56,6 +65,7 @@ def doubts(observation: Observation, estimate: Estimate, depth_scale: float | No
         *_view_doubts(observation),
         *_fit_doubts(estimate),
         *network_doubts(estimate.keypoint_std, category),
+        *_surface_doubts(observation, estimate),
     ]
 
 
@@ -74,21 +84,68 @@ def size_doubts(observation: Observation, category: Category, depth_scale: float
         return
     what = f"the cloud is {size:.3g} m across, of a {category.name} about {usual:.2g} m is usual"
     depth, mask = observation.depth, observation.mask
-    factor = min(FACTORS, key=lambda factor: abs(np.log(size * factor / usual)))
-    if size > usual and depth is not None and mask is not None and mask.sum() >= (depth > 0).sum():
-        why = "the whole frame was taken for the object"
-        cure = "cut the object out with --mask, --box or --segment plane"
-    elif not usual / ODD_SIZE < size * factor < ODD_SIZE * usual:
+    whole = size > usual and depth is not None and mask is not None and mask.sum() >= (depth > 0).sum()
+    cut_out = "cut the object out with --mask, --box or --segment plane"
+    if (scale := wrong_scale(size, usual, depth_scale)) is None:
         why, cure = "the object may be badly cut out", "look at mask, box and depth image"
+        if whole:
+            why, cure = "the whole frame was taken for the object", cut_out
     else:
-        units = {0.001: "millimetres read as metres", 1000.0: "metres read as millimetres"}
-        wrong = f"{factor:g} times too small" if factor > 1 else f"{1 / factor:g} times too large"
-        why = f"depth looks like {units.get(factor, f'lengths {wrong}')}"
-        told = f"multiply the depth scale by {factor:g}"
-        if depth_scale is not None:
-            told = f"--depth-scale {depth_scale * factor:g}"
-        cure = f"{told}, or another mask where more than the object is inside"
+        why, cure = scale.why, f"{scale.cure}, or another mask where more than the object is inside"
+        if whole:
+            why, cure = f"{why}, or the whole frame was taken for the object", f"{scale.cure}, or {cut_out}"
     yield Check("size", what, why, cure)
+
+
+@dataclass(frozen=True)
+class WrongScale:
+    """A depth scale that would explain an odd size."""
+
+    why: str
+    cure: str
+
+
+def wrong_scale(size: float, usual: float, depth_scale: float | None = None) -> WrongScale | None:
+    """What depth must have been read wrongly by, where something is ``size`` metres large and ``usual`` is another;
+    None where no common mistake explains it. ``depth_scale``: metres per number that it was read with, where known."""
+    factor = min(FACTORS, key=lambda factor: abs(np.log(size * factor / usual)))
+    if not usual / ODD_SIZE < size * factor < ODD_SIZE * usual:
+        return None
+    units = {0.001: "millimetres read as metres", 1000.0: "metres read as millimetres"}
+    wrong = f"{factor:g} times too small" if factor > 1 else f"{1 / factor:g} times too large"
+    cure = (
+        f"multiply the depth scale by {factor:g}" if depth_scale is None else f"--depth-scale {depth_scale * factor:g}"
+    )
+    return WrongScale(f"depth looks like {units.get(factor, f'lengths {wrong}')}", cure)
+
+
+def camera_doubts(
+    observation: Observation, estimate: Estimate, estimator: Callable[[list[Observation]], list[Estimate]]
+) -> list[Check]:
+    """Where an object of the category fits what was seen much better with another focal length: a longer one makes it
+    narrower, and as deep as before. ``estimator`` is asked once more, for all of ``FOCAL_LENGTHS`` together."""
+    camera, points = observation.camera, observation.points
+    if camera is None:
+        return []
+    views = [replace(observation, points=points / np.array([[k, k, 1]], np.float32)) for k in FOCAL_LENGTHS]
+    found = estimator(views)
+    residuals = np.array([one.residual for one in found])
+    best = int(np.nan_to_num(residuals, nan=np.inf).argmin())
+    less_likely = (found[best].probability or 1.0) < (estimate.probability or 0.0)
+    if less_likely or not estimate.residual > BETTER * residuals[best]:
+        return []
+    likely = f"{FOCAL_LENGTHS[best] * camera.fx:.0f}"
+    what = (
+        f"a {estimate.category.name} fits {estimate.residual / residuals[best]:.1f} times as well if the focal length"
+    )
+    return [
+        Check(
+            "intrinsics",
+            f"{what} is about {likely} instead of {camera.fx:.0f} pixels",
+            "the intrinsics may be those of another size of the image, or of another camera",
+            f"give those of the depth image at {camera.width}x{camera.height}",
+        )
+    ]
 
 
 def _view_doubts(observation: Observation) -> Iterator[Check]:
@@ -127,6 +184,18 @@ def _fit_doubts(estimate: Estimate) -> Iterator[Check]:
             f" under {1000 * HIGH_RESIDUAL * unit:.1f} mm is usual",
             "other things may be inside the mask, or the object is unlike those of the category",
             "look at estimate.html; tighten the mask, or train on such objects",
+        )
+
+
+def _surface_doubts(observation: Observation, estimate: Estimate) -> Iterator[Check]:
+    found = explanation(observation, estimate)
+    if found.explained < UNEXPLAINED and len(observation.points) >= FEW_POINTS:
+        others = f"in front {found.in_front:.0%}, behind {found.behind:.0%}, missing {found.missing:.0%}"
+        yield Check(
+            "surface",
+            f"the estimated surface is where {found.explained:.0%} of the pixels are ({others})",
+            "pose, joint states or shape are wrong, or much of the mask is not the object",
+            "look at estimate.png, where these pixels are coloured; try a better mask or another viewpoint",
         )
 
 

@@ -17,7 +17,7 @@ from omad.common.errors import InputError
 from omad.common.files import write_json
 from omad.geometry.joint_kinds import Motion
 from omad.geometry.mesh import Mesh, convex_hull
-from omad.geometry.rigid import rigid, turned_about
+from omad.geometry.transforms import MIRROR_X
 from omad.model.posed_object import PosedObject
 from omad.model.surfaces.surfaces import PosedSurface, Surfaces
 from omad.objects.category import Category
@@ -25,69 +25,12 @@ from omad.objects.model import ObjectModel
 from omad.objects.pose import ObjectPose
 from omad.objects.urdf import write_urdf
 
-from .confidence.model import deviations
 from .confidence.signals import Signals
+from .joint_estimate import JointEstimate
 from .part_labels import LabelledPoints
 
 DOUBTFUL = 0.5
 """Probability of being right below which an answer is called doubtful."""
-INTERVALS = (50, 90)
-"""Per cent, of those that are written."""
-
-
-@dataclass(frozen=True)
-class JointEstimate:
-    """One joint as seen now."""
-
-    name: str
-    type: str
-    state: float
-    """Radians or metres; 0 at rest."""
-    state_std: float
-    """Its standard deviation: half the interval that holds the true state 68 % of the time."""
-    limits: tuple[float, float]
-    axis: np.ndarray
-    """(3,) unit, camera frame."""
-    pivot: np.ndarray | None
-    """(3,) a point of the axis, camera frame; None where the axis has no place: the joint only slides."""
-    unit_motion: Motion
-    """What a unit of state does: radians about the axis, metres along it."""
-    tail: float = 1.0
-    """The error is like ``state_std`` times this power of a normally distributed number: 1 of a normal distribution,
-    more where a few answers are far off, as those seen the wrong way round."""
-
-    def interval(self, level: float) -> tuple[float, float]:
-        """What holds the true state with probability ``level``, as 0.9: around the estimated one, in its unit. Raises
-        InputError for a level that is not between 0 and 1."""
-        if not 0 < level < 1:
-            raise InputError(f"level: {level} is no probability between 0 and 1; give 0.9, say")
-        half = self.state_std * deviations(level) ** self.tail
-        return self.state - half, self.state + half
-
-    @property
-    def fraction(self) -> float:
-        """How much of its travel the joint has made, 0 to 1 (and beyond, where it is): from the limit that is nearer
-        to the rest state, so that a joint that rests closed says how far it is open."""
-        low, high = self.limits
-        near, far = (high, low) if abs(high) < abs(low) else (low, high)
-        return (self.state - near) / (far - near)
-
-    @property
-    def twist(self) -> np.ndarray:
-        """(6,) screw axis in the camera frame, (angular, linear) per unit of state: a point p of the moving part goes
-        with ``linear + angular x p``."""
-        angular, linear = self.unit_motion.turn * self.axis, self.unit_motion.slide * self.axis
-        return np.concatenate([angular, linear if self.pivot is None else linear + np.cross(self.pivot, angular)])
-
-    def motion(self, travel: float) -> np.ndarray:
-        """(4, 4) camera to camera: where a point of the moving part is after ``travel`` (radians or metres) more."""
-        along = rigid(np.eye(3), travel * self.unit_motion.slide * self.axis)
-        if self.pivot is None:
-            return along
-        from scipy.spatial.transform import Rotation  # slow to import
-
-        turn = Rotation.from_rotvec(travel * self.unit_motion.turn * self.axis)
-        return along @ turned_about(turn.as_matrix(), self.pivot)
 
 
 def _joints(
@@ -109,6 +52,10 @@ class PoseEstimate(PosedObject):
     """Shape, pose and joints of one object, as one stage of the estimation has them."""
 
     joints: tuple[JointEstimate, ...]
+    """In the category's order."""
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__}: {', '.join(map(str, self.joints))}>"
 
     @classmethod
     def of(
@@ -119,6 +66,9 @@ class PoseEstimate(PosedObject):
         specs = [(j.name, j.type, pair, j.motion) for j, pair in zip(category.joints, limits, strict=True)]
         rows = zip(posed, state_std.tolist(), tail.tolist(), strict=True)
         return [PoseEstimate(**vars(one), joints=_joints(specs, one.placed, *spread)) for one, *spread in rows]
+
+    def mirrored(self, turning: Sequence[bool]) -> Self:
+        return replace(super().mirrored(turning), joints=tuple(joint.mirrored() for joint in self.joints))
 
     @property
     def T_camera_part(self) -> np.ndarray:
@@ -145,6 +95,7 @@ class PartEstimate:
     """One part as seen now."""
 
     name: str
+    """As in the category."""
     T_camera_part: np.ndarray
     """(4, 4) canonical rest coordinates to camera."""
     mesh: Mesh
@@ -152,12 +103,17 @@ class PartEstimate:
     mesh_in_camera: Mesh
     """Its surface where it is seen, camera frame."""
 
+    def __repr__(self) -> str:
+        x, y, z = self.T_camera_part[:3, 3]
+        return f"<PartEstimate: {self.name} at ({x:.3f}, {y:.3f}, {z:.3f}) m>"
+
 
 @dataclass(frozen=True)
 class Estimate(PoseEstimate):
     """Shape, pose, joints, keypoints and part labels of one observed object."""
 
     category: Category
+    """What it was taken for."""
     observed_keypoints: np.ndarray
     """(M, 3) where the network saw them, camera frame: what the model was fitted to."""
     keypoint_std: np.ndarray
@@ -165,6 +121,7 @@ class Estimate(PoseEstimate):
     covariance: np.ndarray
     """(P, P) of (rotation vector, translation, joint states, beta): radians, metres, radians or metres, units."""
     converged: bool
+    """Whether the least squares came to rest."""
     residual: float
     """RMS distance between model and observed keypoints."""
     labelled: LabelledPoints
@@ -177,9 +134,37 @@ class Estimate(PoseEstimate):
     """That no joint state is off by more than 10 degrees, or 10 % of the object's diagonal; None where the checkpoint
     holds no ``confidence.json``."""
     seconds: dict[str, float] = field(default_factory=dict)
+    """How long each step took: ``network``, ``refinement``."""
     warnings: tuple[str, ...] = ()
-    surfaces: Surfaces | None = field(default=None, repr=False, compare=False)
+    """What a person should know before trusting it."""
+    surfaces: Surfaces | None = field(default=None, compare=False)
     """Where its surface comes from; without, parts are hulls of keypoints."""
+    of_other_hand: bool = False
+    """The object is the mirror image of what the category's spec describes, and of what ``beta`` says: its door is
+    hinged on the other side, say. All else is of the object itself."""
+
+    def in_mirror(self) -> Self:
+        """The answer to what is seen in a mirror in the camera's plane x = 0."""
+        sign = np.concatenate([[1.0, -1.0, -1.0], MIRROR_X, np.ones(len(self.covariance) - 6)])
+        turning = self.category.turning
+        return replace(
+            self.mirrored(turning),
+            observed_keypoints=self.observed_keypoints * MIRROR_X,
+            covariance=sign[:, None] * self.covariance * sign,
+            labelled=replace(self.labelled, points=self.labelled.points * np.array(MIRROR_X, np.float32)),
+            initial=self.initial.mirrored(turning),
+            of_other_hand=not self.of_other_hand,
+        )
+
+    def __repr__(self) -> str:
+        """What a person wants to know first: the joints, and how sure they are."""
+        x, y, z = self.T_camera_base[:3, 3]
+        told = [", ".join(map(str, self.joints)), f"base at ({x:.3f}, {y:.3f}, {z:.3f}) m"]
+        if self.probability is not None:
+            told.append(f"right with probability {self.probability:.0%}")
+        told += ["not converged"] * (not self.converged)
+        told += [f"warned of {', '.join(text.partition(':')[0] for text in self.warnings)}"] * bool(self.warnings)
+        return f"<Estimate of a {self.category.name}: {'; '.join(told)}>"
 
     @cached_property
     def surface(self) -> PosedSurface:
@@ -187,6 +172,8 @@ class Estimate(PoseEstimate):
         asking. Raises InputError where the weights' surfaces cannot be read."""
         if self.surfaces is None:
             return PosedSurface(self.hulls, self.placed)
+        if self.of_other_hand:
+            return self.in_mirror().surface.mirrored(self.category.turning)
         return self.surfaces.fitted(self, self.covariance, self.labelled.points, self.part_labels)
 
     @property
@@ -207,6 +194,11 @@ class Estimate(PoseEstimate):
         """(N,) part of every point of the observation, -1 for those that are not on the object; worked out at the first
         time of asking."""
         return self.labelled.labels
+
+    @property
+    def is_finite(self) -> bool:
+        """Whether it is an answer at all: of a cloud many times larger than the category there may be no numbers."""
+        return bool(np.isfinite(self.keypoints).all())
 
     @property
     def doubtful(self) -> bool | None:
@@ -237,6 +229,7 @@ class Estimate(PoseEstimate):
                 "probability": self.probability,
                 "doubtful": self.doubtful,
                 "residual": self.residual,
+                "mirrored": self.of_other_hand,
                 "beta": self.beta,
                 "T_camera_base": self.T_camera_base,
                 "joints": self.joints,
@@ -251,6 +244,12 @@ class Estimate(PoseEstimate):
     def object_model(self, name: str | None = None) -> ObjectModel:
         """The estimated object at rest, with its surfaces."""
         return self._model(self.surface.parts, name)
+
+    def carried_model(self) -> ObjectModel:
+        """The estimated object at rest; its surfaces are those of the known object with the nearest keypoints, carried
+        along but not fitted to what was seen: that takes a tenth of the time."""
+        known = self.surfaces
+        return self._model(self.hulls if known is None else known.of_keypoints(self.canonical_keypoints), None)
 
     def hull_model(self) -> ObjectModel:
         """The estimated object at rest; a part's mesh is the hull of its keypoints."""
@@ -310,19 +309,10 @@ def _checked(name: str, values: Any, shape: tuple[int, ...]) -> np.ndarray:
     return array.astype(np.float64)
 
 
-def _joint_dict(joint: JointEstimate) -> dict[str, Any]:
-    values = {**vars(joint), "fraction": joint.fraction}
-    known = math.isfinite(joint.state_std)
-    values |= {f"interval_{level}": joint.interval(level / 100) if known else None for level in INTERVALS}
-    motion = values.pop("unit_motion")
-    del values["tail"]
-    return values | ({"pitch": 2 * math.pi * motion.slide / motion.turn} if motion.turns and motion.slide else {})
-
-
 def plain(value: Any) -> Any:
     """As JSON has it: lists for arrays and tuples, and null for an unknown number, since it knows no NaN."""
     if isinstance(value, JointEstimate):
-        value = _joint_dict(value)
+        value = value.to_dict()
     if isinstance(value, dict):
         return {key: plain(inner) for key, inner in value.items()}
     if isinstance(value, np.ndarray | np.generic):

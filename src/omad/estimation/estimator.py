@@ -26,6 +26,7 @@ from omad.common.runtime import Stopwatch, pick_device, work_in_forks
 from omad.geometry.transforms import quarter_turns, transform_points
 from omad.model.checkpoint import find_weights, load
 from omad.model.fitting.energy import RefinementConfig
+from omad.model.fitting.leaning import leaning
 from omad.model.fitting.refinement import Refiner
 from omad.model.fitting.state import Refined, State, Targets
 from omad.model.inference.network import inference_net
@@ -34,7 +35,7 @@ from omad.model.omadnet import OmadNet
 from omad.model.posed_object import Poser
 from omad.model.surfaces.surfaces import Surfaces
 from omad.objects.category import Category
-from omad.sensing.observation import FARTHEST, Observation
+from omad.sensing.observation import Observation
 
 from .ahead import compile_ahead
 from .checks import network_doubts, size_doubts
@@ -42,9 +43,10 @@ from .confidence.model import Confidence
 from .confidence.signals import Meter, Signals
 from .estimate import Estimate, PoseEstimate
 from .known import Known, Near
-from .look import Look, put_rows, rows_of
+from .looks.either_hand import surer_hands
+from .looks.look import Look, put_rows, rows_of
+from .looks.shown import Shown, check_observations
 from .several_views import Rig, one_answer
-from .shown import Shown
 
 NOTHING_KNOWN = Known()
 UNSURE = 0.08
@@ -82,9 +84,13 @@ class EstimatorConfig:
     """Observations that go through the network together."""
 
     def __post_init__(self) -> None:
-        counts = [*self.samples, self.near_samples, self.batch]
-        if not self.samples or not all(isinstance(count, int) and 1 <= count <= MOST for count in counts):
+        several = isinstance(self.samples, tuple | list) and len(self.samples) > 0
+        counts = [*(self.samples if several else ()), self.near_samples, self.batch]
+        if not several or not all(isinstance(count, int) and 1 <= count <= MOST for count in counts):
             raise InputError(f"EstimatorConfig: samples, near_samples and batch are numbers from 1 to {MOST}")
+
+        if not isinstance(self.seed, int) or self.seed < 0:
+            raise InputError("EstimatorConfig: seed is a whole number from 0")
 
     @classmethod
     def fast(cls) -> Self:
@@ -125,8 +131,9 @@ class Estimator:
         config: EstimatorConfig | None = None,
         refine: Refine = Refiner.__call__,
     ) -> Self:
-        """``weights``: a category with shipped weights, or a checkpoint folder. What is not yet compiled for this
-        machine is compiled here, so that no answer waits for it. Raises InputError."""
+        """``weights``: a category with shipped weights, a checkpoint folder, or the address of one (``https://`` or any
+        other that fsspec knows, with ``#sha256=`` of its manifest where it is pinned), which is fetched once. What is
+        not yet compiled for this machine is compiled here, so that no answer waits for it. Raises InputError."""
         folder = find_weights(weights)
         net = load(OmadNet, folder)
         confidence, surfaces = Confidence.load(folder, net.category), Surfaces.beside(folder, net.prior, net.category)
@@ -136,6 +143,7 @@ class Estimator:
 
     @property
     def category(self) -> Category:
+        """What it estimates."""
         return self.net.category
 
     @overload
@@ -152,25 +160,29 @@ class Estimator:
         With ``T_world_camera`` (V, 4, 4), in metres, the V observations are views of one object at one moment, by
         cameras whose places in any one frame are known: they get one answer, given in each camera's own frame. What is
         ``known`` of gravity is then in the first camera's frame. Raises InputError for wrong shapes and poses."""
+        if not isinstance(known, Known):
+            raise InputError(f"known: is {type(known).__name__}; give an omad.Known")
         known.check(self.category, self.net.prior.basis_size)
         if T_world_camera is not None:
             return self._together(observation, known, T_world_camera)
         if isinstance(observation, Observation):
-            _check([observation])
+            check_observations([observation])
             return self._estimate([observation], known)[0]
         size = self.config.batch
-        _check(observation)
+        check_observations(observation)
         return [e for i in range(0, len(observation), size) for e in self._estimate(observation[i : i + size], known)]
 
-    def near(self, observation: Observation, near: Near) -> Estimate:
+    def near(self, observation: Observation, near: Near, known: Known = NOTHING_KNOWN) -> Estimate:
         """Estimate an object that was seen before, a moment ago say: one look is enough, which takes half the time."""
-        return self._estimate([observation], NOTHING_KNOWN, near)[0]
+        return self._estimate([observation], known, near)[0]
 
     def moved(self, estimate: Estimate, state: Near, covariance: np.ndarray) -> Estimate:
         """The answer with another shape, pose and joint states, those of a filter say; ``covariance`` (P, P) theirs."""
-        posed = self._posed(state.start(self.category, self.net.prior.learned_basis))
+        turned = state.mirrored() if estimate.of_other_hand else state
+        posed = self._posed(turned.start(self.category, self.net.prior.learned_basis))
         std = _state_std(covariance[None], self.category)
         [moved] = PoseEstimate.of(self.category, posed, std, np.ones_like(std))
+        moved = moved.mirrored(self.category.turning) if estimate.of_other_hand else moved
         return replace(estimate, **vars(moved), covariance=covariance)
 
     def _together(
@@ -178,7 +190,7 @@ class Estimator:
     ) -> list[Estimate]:
         if isinstance(views, Observation) or not views:
             raise InputError("T_world_camera: is for several views of one object; give a list of observations with it")
-        _check(views)
+        check_observations(views)
         rig = Rig.of(T_world_camera, len(views), self.category.metres_per_unit, self.net.prior.learned_basis)
         return one_answer(self._estimate(views, known, rig=rig)) if len(views) > 1 else self._estimate(views, known)
 
@@ -186,18 +198,30 @@ class Estimator:
     def _posed(self) -> Poser:
         return Poser(self.net.prior, self.category)
 
-    @torch.no_grad()
     def _estimate(
         self, observations: Sequence[Observation], known: Known, near: Near | None = None, rig: Rig | None = None
     ) -> list[Estimate]:
-        """``rig``: of the cameras of all observations, where these are views of one object at one moment."""
+        """``rig``: of the cameras of all observations, where these are views of one object at one moment. Objects that
+        may be of either hand are seen in a mirror, too: there those of the other hand are of the category's."""
+        plain = self._of_one_hand(observations, known, near, rig)
+        if not self.category.either_hand:
+            return plain
+        seen = [observation.mirrored() for observation in observations]
+        elsewhere = None if near is None else near.mirrored(), None if rig is None else rig.mirrored()
+        images = self._of_one_hand(seen, known.mirrored(), *elsewhere)
+        return surer_hands(plain, [image.in_mirror() for image in images], together=rig is not None)
+
+    @torch.no_grad()
+    def _of_one_hand(
+        self, observations: Sequence[Observation], known: Known, near: Near | None, rig: Rig | None
+    ) -> list[Estimate]:
         config, watch = self.config, Stopwatch(self.device)
         looks = config.samples if near is None else (config.near_samples,)
         size = self.net.backbone.config.points
         shown = Shown.of(observations, size, sum(looks), config.seed, self.category, self.device)
         start = None if near is None else near.start(self.category, shown.clouds)
         frame = first_frame(shown.clouds.flatten(1, 2)) if start is None else start.T_camera_base
-        labels = self.net.tells_outside
+        labels, crowd = self.net.tells_outside, None
         seen = [self._look(shown.clouds[:, : looks[0]], frame, labels or len(looks) == 1)]
         if labels and (crowded := shown.crowded(as_numpy(seen[0].part_logits))):
             rows = torch.tensor(crowded, device=self.device)
@@ -208,8 +232,10 @@ class Estimator:
             look = self._look(clouds[:, : looks[0]], again, labels=True)
             # what is said of single points may be wrong: then the object is seen less surely without them
             surer = torch.nonzero(look.expected_error < seen[0].of(rows).expected_error)[:, 0]
-            shown = shown.with_rows_of(cleaned, rows[surer].tolist())
-            seen[0].put(rows[surer], look.of(surer))
+            crowd, rows = shown, rows[surer]
+            with_crowd = seen[0].of(rows)
+            shown = shown.with_rows_of(cleaned, rows.tolist())
+            seen[0].put(rows, look.of(surer))
         watch.lap("network")
         refined = self._refine(seen[0], start, known, near, rig)
         watch.lap("refinement")
@@ -221,9 +247,27 @@ class Estimator:
             refined = self._refine(seen[-1], start, known, near, rig)
             watch.lap("refinement")
         if near is None and rig is None:
+            if crowd is not None and len(looks) > 1:
+                shown = self._look_at_crowd(crowd, with_crowd, rows, shown, seen[-1], refined, known)
             self._look_turned(shown, seen[-1], refined, known)
             watch.lap("network")
+        if self.net.own_states and known.is_nothing and rig is None:
+            own, prior = seen[-1].state.joint_states, self.net.prior
+            refined = leaning(refined, own, self.net.own_states, prior, seen[-1].targets)
         return self._answers(shown, seen, refined, watch.shares(len(observations)))
+
+    def _look_at_crowd(
+        self, crowd: Shown, first: Look, rows: Tensor, shown: Shown, last: Look, refined: Refined, known: Known
+    ) -> Shown:
+        """Of the clouds ``rows`` that points were left out of, look again at all of their points, ``crowd``, as the
+        ``first`` look at these says. Where that answer is surer than the ``last``, put it in place of those given."""
+        start = self._refine(first, None, known, None).state
+        again = self._look(crowd.clouds[rows, -last.samples :], start.T_camera_base, labels=True)
+        whole = self._refine(again, start, known, None)
+        better = torch.nonzero(again.expected_error < last.expected_error[rows])[:, 0]
+        last.put(rows[better], again.of(better))
+        put_rows(refined, rows[better], rows_of(whole, better))
+        return shown.with_rows_of(crowd, rows[better].tolist())
 
     def _look_turned(self, shown: Shown, last: Look, refined: Refined, known: Known) -> None:
         """Of clouds that the ``last`` look is unsure of, look again in its frame turned by half about each axis, and
@@ -343,18 +387,6 @@ class Estimator:
             return std, np.ones_like(std), [None] * len(std)
         found, tail = self.confidence.spreads(signals, self.category)
         return np.where(std == 0, 0.0, found), tail, self.confidence.probabilities(signals).tolist()
-
-
-def _check(observations: Any) -> None:
-    """Raises InputError that tells which of them is none, or holds points that are no places."""
-    if not isinstance(observations, Sequence):
-        raise InputError(f"observation: is {type(observations).__name__}; give an omad.Observation, or a list of them")
-    for index, one in enumerate(observations):
-        points = getattr(one, "points", None)
-        if not isinstance(points, np.ndarray) or points.ndim != 2 or points.shape[1] != 3 or not len(points):
-            raise InputError(f"observation {index}: has no points (N, 3); make it with Observation.from_depth")
-        if not max(-points.min(), points.max()) <= FARTHEST:  # not for NaN either
-            raise InputError(f"observation {index}: has points that are not finite, or too far away; leave them out")
 
 
 def _state_std(covariance: np.ndarray, category: Category) -> np.ndarray:

@@ -12,6 +12,7 @@ from omad.common.arrays import as_doubles
 from omad.data.rendering.rasteriser import render
 from omad.geometry.camera import Camera
 from omad.model.prior import OmadPrior
+from omad.model.surfaces.agreement import Agreement, Overlay
 from omad.sensing.observation import Observation
 
 from .estimate import Estimate
@@ -64,11 +65,20 @@ def measure_evidence(observation: Observation, estimate: Estimate, prior: OmadPr
     )
 
 
+def explanation(observation: Observation, estimate: Estimate) -> Agreement:
+    """What of the observation the estimate's surface explains, as keypoints alone tell it."""
+    if not np.isfinite(estimate.keypoints).all():
+        return Agreement(0.0, 0.0, 0.0, 1.0)
+    placed = estimate.carried_model().posed(estimate.joint_states, estimate.T_camera_base)
+    return Overlay.of(placed, observation).agreement
+
+
 def _visible(estimate: Estimate, points: np.ndarray) -> np.ndarray:
     """(N, 3) points of the estimated object's visible surface, in the camera frame."""
     around = np.concatenate([points, estimate.keypoints])
+    found = bool(np.isfinite(estimate.keypoints).all())  # not where a network is shown what is far beyond its size
     around = around[around[:, 2] > 0]
-    if not len(around):
+    if not found or not len(around):
         return np.zeros((0, 3))
     rays = around[:, :2] / around[:, 2:]
     low, high = rays.min(0), rays.max(0)

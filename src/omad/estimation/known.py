@@ -1,20 +1,24 @@
 """What is known of an object before it is looked at: held fixed while the rest is estimated."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from omad.common.arrays import as_numpy, numbers
 from omad.common.errors import InputError
-from omad.geometry.rigid import rigid
-from omad.geometry.transforms import make_transform, so3_exp
+from omad.geometry.rigid import mirrored, rigid
+from omad.geometry.transforms import MIRROR_X, make_transform, so3_exp
 from omad.model.fitting.refinement import free_directions
 from omad.model.fitting.state import State
 from omad.objects.category import Category
 
 LARGEST = 1e4
 """Of what can be known: radians, metres, numbers of beta."""
+LEAST = 1e-9
+"""Length of a direction."""
 
 
 @dataclass(frozen=True)
@@ -33,40 +37,38 @@ class Known:
         """Whether everything is left out."""
         return self.beta is None and self.joint_states is None and self.gravity is None
 
+    def mirrored(self) -> Self:
+        """Of what is seen in a mirror in the camera's plane x = 0."""
+        return self if self.gravity is None else replace(self, gravity=np.asarray(self.gravity) * MIRROR_X)
+
     def check(self, category: Category, basis_size: int) -> None:
-        """Raises InputError for a wrong shape."""
+        """Raises InputError for a wrong shape, and for what are no numbers."""
         shapes = {"beta": (basis_size,), "joint_states": (len(category.joints),), "gravity": (3,)}
         for name, shape in shapes.items():
             value = getattr(self, name)
             if value is None:
                 continue
-            try:
-                found = np.asarray(value, dtype=np.float64)
-            except (TypeError, ValueError) as error:
-                raise InputError(f"known {name}: holds no numbers; pass {shape} of them") from error
-            if found.shape != shape:
-                raise InputError(f"known {name}: shape {found.shape}, expected {shape}")
-            unknown = np.isnan(found) if name == "joint_states" else np.zeros(shape, dtype=bool)
-            if not (unknown | (np.abs(found) <= LARGEST)).all():
-                raise InputError(f"known {name}: holds numbers that are not finite, or too large to mean anything")
-        if self.gravity is not None and not np.linalg.norm(self.gravity) > 0:
-            raise InputError("known gravity: a direction is needed, got a zero or NaN vector")
+            found = numbers(value, *shape, what=f"known {name}", unknown=name == "joint_states")
+            if (np.abs(found) > LARGEST).any():
+                raise InputError(f"known {name}: holds numbers that are too large to mean anything")
+        if self.gravity is not None and not np.linalg.norm(as_numpy(self.gravity)) > LEAST:
+            raise InputError("known gravity: a direction is needed, got next to nothing")
 
     def apply_to(self, start: State, category: Category) -> State:
         """``start`` (category units) with the known values in place of its own."""
         beta, states, pose = start.beta, start.joint_states, start.T_camera_base
         if self.beta is not None:
-            beta = torch.as_tensor(np.asarray(self.beta, dtype=np.float64)).to(beta).expand_as(beta).clone()
+            beta = torch.as_tensor(as_numpy(self.beta).astype(np.float64)).to(beta).expand_as(beta).clone()
         if self.joint_states is not None:
-            known = torch.as_tensor(np.asarray(self.joint_states, dtype=np.float64) / category.state_units).to(states)
+            known = torch.as_tensor(as_numpy(self.joint_states) / category.state_units).to(states)
             states = torch.where(known.isnan(), states, known)
         if self.gravity is not None:
-            pose = _upright(pose, torch.as_tensor(np.asarray(self.gravity)).to(pose))
+            pose = _upright(pose, torch.as_tensor(as_numpy(self.gravity)).to(pose))
         return State(beta, states, pose)
 
     def free(self, category: Category, basis_size: int) -> Tensor:
         """Directions (P, F) that are left to be estimated."""
-        held = False if self.joint_states is None else np.isfinite(self.joint_states).tolist()
+        held = False if self.joint_states is None else np.isfinite(as_numpy(self.joint_states)).tolist()
         return free_directions(len(category.joints), basis_size, self.beta is not None, held, self.gravity)
 
 
@@ -82,6 +84,10 @@ class Near:
     """(D,) mean of the belief, in place of the category's."""
     beta_covariance: np.ndarray
     """(D, D) of the belief."""
+
+    def mirrored(self) -> Self:
+        """Of what is seen in a mirror in the camera's plane x = 0."""
+        return replace(self, T_camera_base=mirrored(self.T_camera_base))
 
     def start(self, category: Category, like: Tensor) -> State:
         """In category units, a batch of one; dtype and device are those of ``like``."""

@@ -1,12 +1,16 @@
 """An answer in the world frame, where the camera's place in it is known."""
 
+import math
 from typing import Any
 
 import numpy as np
 
+from omad.common.errors import InputError
 from omad.geometry.rigid import carry
+from omad.sensing.reader import parse_numbers
 
 from .estimate import Estimate, plain
+from .known import Known
 
 
 def in_world(estimate: Estimate, T_world_camera: np.ndarray) -> dict[str, Any]:
@@ -29,3 +33,18 @@ def in_world(estimate: Estimate, T_world_camera: np.ndarray) -> dict[str, Any]:
 def gravity_in_camera(T_world_camera: np.ndarray) -> np.ndarray:
     """(3,) where down is in the camera frame, for a world whose z points up."""
     return -T_world_camera[2, :3]
+
+
+def known_gravity(told: str | None, T_world_camera: np.ndarray | None) -> Known:
+    """What ``--gravity`` says: ``x,y,z``, where down is in the camera frame, or ``world``, of a world whose z points
+    up. Raises InputError."""
+    if told is None:
+        return Known()
+    if told != "world":
+        down = parse_numbers(told, 3, "--gravity")
+        if not 0 < math.hypot(*down) < math.inf:
+            raise InputError(f"--gravity {told}: has no direction; give x,y,z in the camera frame")
+        return Known(gravity=np.array(down))
+    if T_world_camera is None:
+        raise InputError("--gravity world: needs --world FILE (or --together) with T_world_camera, z up")
+    return Known(gravity=gravity_in_camera(T_world_camera))

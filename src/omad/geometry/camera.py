@@ -16,12 +16,19 @@ class Camera:
     """Image size and pinhole intrinsics in pixels, and the lens where the image was not undistorted."""
 
     width: int
+    """Pixels."""
     height: int
+    """Pixels."""
     fx: float
+    """Pixels."""
     fy: float
+    """Pixels."""
     cx: float
+    """Pixels, from the middle of the first column."""
     cy: float
+    """Pixels, from the middle of the first row."""
     distortion: Distortion | None = None
+    """The lens; None where the image was undistorted."""
 
     @property
     def K(self) -> np.ndarray:
@@ -30,6 +37,7 @@ class Camera:
 
     @classmethod
     def from_K(cls, K: np.ndarray, width: int, height: int, distortion: Distortion | None = None) -> Self:
+        """Of an intrinsic matrix (3, 3)."""
         return cls(width, height, float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2]), distortion)
 
     @property

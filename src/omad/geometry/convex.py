@@ -41,6 +41,11 @@ class ConvexBody:
         return np.unique((normals / np.maximum(lengths, 1e-300)).round(6), axis=0)
 
     @cached_property
+    def box(self) -> np.ndarray:
+        """(2, 3) low and high corner."""
+        return box(self.vertices)
+
+    @cached_property
     def volume(self) -> float:
         """Cubic metres."""
         a, b, c = self.mesh.triangles.swapaxes(0, 1)
@@ -48,7 +53,9 @@ class ConvexBody:
 
     def carried(self, T: np.ndarray) -> ConvexBody:
         """Moved by T (4, 4)."""
-        return ConvexBody(self.mesh.carried(T))
+        moved = ConvexBody(self.mesh.carried(T))
+        vars(moved)["normals"] = self.normals @ T[:3, :3].T
+        return moved
 
     def holds(self, points: np.ndarray, slack: float) -> bool:
         """Whether no point (N, 3) sticks out by more than ``slack``."""

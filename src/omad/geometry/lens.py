@@ -25,7 +25,9 @@ class Distortion:
     that are too many or no numbers."""
 
     model: str
+    """One of those above."""
     coefficients: tuple[float, ...]
+    """In the order above."""
 
     def __post_init__(self) -> None:
         if self.model not in MODELS:

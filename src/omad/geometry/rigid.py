@@ -5,6 +5,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from .transforms import MIRROR_X
+
 LONG = 256
 """Points that ``box`` takes together."""
 
@@ -19,6 +21,13 @@ def rigid(rotation: np.ndarray, translation: np.ndarray | Sequence[float]) -> np
 def turned_about(rotation: np.ndarray, point: np.ndarray) -> np.ndarray:
     """(4, 4) the rotation (3, 3) that leaves ``point`` (3,) where it is."""
     return rigid(rotation, point - rotation @ point)
+
+
+def mirrored(T: np.ndarray) -> np.ndarray:
+    """Transforms (..., 4, 4) as they are in a mirror in the plane x = 0 of both of their frames: where T takes a thing,
+    its image is taken. A rigid one stays one."""
+    sign = np.array([*MIRROR_X, 1.0])
+    return sign[:, None] * T * sign
 
 
 def carry(T: np.ndarray, points: np.ndarray) -> np.ndarray:

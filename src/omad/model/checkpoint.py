@@ -8,7 +8,7 @@ from typing import Any, ClassVar, Self, TypeVar
 
 import safetensors
 import safetensors.torch
-from torch import nn
+from torch import Tensor, nn
 
 from omad.common.arrays import digest_of
 from omad.common.decode import decode
@@ -18,6 +18,8 @@ from omad.common.incoming import as_path, is_file, read_json, readable
 from omad.common.limits import check_limit
 from omad.objects.builtin import builtin_names
 from omad.objects.category import Category
+
+from .fetched import address_of, fetch
 
 FORMAT = 1
 CHECKSUM = "sha256"
@@ -54,9 +56,14 @@ def save(net: Network, folder: Path, training: dict[str, Any]) -> None:
     config = {"format": FORMAT, "kind": net.kind, **net.sizes(), "category": asdict(net.category), "training": training}
     tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in net.state_dict().items()}
     text = json.dumps(config, indent=1, default=str) + "\n"
+    write_tensors(tensors, folder)
+    write_text(folder / "config.json", text)
+
+
+def write_tensors(tensors: dict[str, Tensor], folder: Path) -> None:
+    """Write the weights of a checkpoint in ``folder``, with their checksum."""
     content = safetensors.torch.save(tensors, {CHECKSUM: digest_of(tensors)})
     write_atomic(folder / "model.safetensors", lambda path: path.write_bytes(content))
-    write_text(folder / "config.json", text)
 
 
 def load(network: type[N], folder: Path) -> N:
@@ -91,8 +98,10 @@ def training_record(network: type[Network], folder: Path) -> dict[str, Any]:
 
 
 def find_weights(name: str | Path) -> Path:
-    """The folder of a category's shipped weights, or ``name`` itself where it is a checkpoint folder. A ``Path`` is a
-    folder, even one that is called like a category."""
+    """The folder of a category's shipped weights, or ``name`` itself where it is a checkpoint folder, or where what is
+    at the address ``name`` (``fetched``) is kept. A ``Path`` is a folder, even one that is called like a category."""
+    if (address := address_of(name)) is not None:
+        return fetch(address)
     if isinstance(name, str) and name in builtin_names() and (WEIGHTS / name).is_dir():
         return WEIGHTS / name
     name = name if isinstance(name, Path) else str(as_path(name, "a checkpoint folder, or a category with weights"))

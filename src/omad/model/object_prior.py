@@ -50,5 +50,7 @@ def relabelled(model: ObjectModel) -> ObjectModel:
 @torch.no_grad()
 def object_keypoints(net: PriorNet, bank: SurfaceBank) -> Tensor:
     """Nodes (N, M, 3) of every object at its own scale, from all of its samples: what OMADNet learns to find."""
-    nodes = [net(points[None], labels[None]).nodes for points, labels in zip(bank.points, bank.labels, strict=True)]
+    parts, nodes = range(len(net.category.parts)), []
+    for points, labels in zip(bank.points, bank.labels, strict=True):
+        nodes.append(net([points[labels == part][None] for part in parts]).nodes)
     return torch.cat(nodes)

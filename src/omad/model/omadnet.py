@@ -22,6 +22,8 @@ from .prior import OmadPrior
 
 NEW_CLASS = {"part_out.weight": (0, 0, 0, 1), "part_out.bias": (0, 1)}
 """Weights that have a row more for points outside the object, and where it stands."""
+OWN = ("prior.", "shape_branch.2.", "state_branch.2.", "keypoint_branch.2.", "part_out.")
+"""What a network has of its category alone: its prior, and the layers that speak of its parts, joints and keypoints."""
 
 
 @dataclass(frozen=True)
@@ -62,11 +64,15 @@ class OmadNet(Network):
         backbone: BackboneConfig = SLIM,
         attention: bool = True,
         tells_outside: bool = False,
+        own_states: float = 0.0,
     ) -> None:
         """``attention=False``: every centre's vote counts alike, to measure what the scores are good for.
-        ``tells_outside``: it labels points that are not on the object, too."""
+        ``tells_outside``: it labels points that are not on the object, too. ``own_states``: share of the network's own
+        joint states in answers; the rest is what its keypoints say, which knows objects unlike those of the training
+        less well."""
         super().__init__()
         self.category, self.attention, self.tells_outside = category, attention, tells_outside
+        self.own_states = own_states
         self.prior = prior.requires_grad_(False)
         self.backbone = backbone.build()
         width, dense = backbone.pooled, backbone.dense
@@ -80,14 +86,19 @@ class OmadNet(Network):
         self.part_out = nn.Linear(32, parts + tells_outside)
 
     def sizes(self) -> dict[str, Any]:
-        told = {"attention": self.attention, "tells_outside": self.tells_outside}
+        told = {"attention": self.attention, "tells_outside": self.tells_outside, "own_states": self.own_states}
         return {"backbone": backbone_to_dict(self.backbone.config), **told}
 
     @classmethod
     def from_sizes(cls, category: Category, sizes: dict[str, Any]) -> Self:
         backbone = backbone_from_dict(sizes["backbone"])
-        told = (decode(bool, sizes.get(*name)) for name in (("attention", True), ("tells_outside", False)))
-        return cls(category, OmadPrior(category), backbone, *told)
+        attention, outside = (
+            decode(bool, sizes.get(*name)) for name in (("attention", True), ("tells_outside", False))
+        )
+        own_states = decode(float, sizes.get("own_states", 0.0))
+        if not 0 <= own_states <= 1:
+            raise ValueError(f"own_states: is {own_states}; give a share from 0 to 1")
+        return cls(category, OmadPrior(category), backbone, attention, outside, own_states)
 
     def start_from(self, other: Self) -> None:
         """Take over the weights of another network, which may tell no points outside the object yet. Where its prior is
@@ -101,6 +112,16 @@ class OmadNet(Network):
             bias = translate @ (other.prior.beta_mean + bias) - self.prior.beta_mean
             weights |= {"shape_branch.2.weight": translate @ weight, "shape_branch.2.bias": bias}
         self.load_state_dict(weights | self.prior.state_dict(prefix="prior."))
+
+    def learn_from(self, other: Self) -> None:
+        """Begin with what a network of another category or another prior knows of clouds: all layers but the last of
+        each branch, and of these the base's pose. The backbones are alike."""
+        theirs = other.state_dict()
+        known = {name: tensor for name, tensor in theirs.items() if not name.startswith(OWN)}
+        self.load_state_dict(self.state_dict() | known)
+        with torch.no_grad():
+            for name in ("weight", "bias"):
+                getattr(self.state_branch[2], name)[:7] = theirs[f"state_branch.2.{name}"][:7]
 
     def forward(self, points: Tensor, labels: bool = True) -> Prediction:
         """points (B, N, 3) in the input frame, in random order; without ``labels`` the ``part_logits`` are of none."""

@@ -1,13 +1,16 @@
 """Objects as a prior describes them, where they are: NumPy, metres, radians."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 import torch
 
 from omad.common.arrays import as_doubles
+from omad.geometry.transforms import MIRROR_X
 from omad.objects.category import Category
-from omad.objects.pose import ObjectPose
+from omad.objects.pose import ObjectPose, mirrored_axes
 
 from .fitting.state import State
 from .prior import OmadPrior
@@ -20,6 +23,7 @@ class PosedObject:
     beta: np.ndarray
     """(D,)."""
     placed: ObjectPose
+    """Joint states, axes, pivots and part poses, as the metrics take them: metres, camera frame."""
     canonical_keypoints: np.ndarray
     """(M, 3) at rest."""
     canonical_axes: np.ndarray
@@ -28,6 +32,18 @@ class PosedObject:
     """(J, 3)."""
     keypoints: np.ndarray
     """(M, 3) camera frame."""
+
+    def mirrored(self, turning: Sequence[bool]) -> Self:
+        """Its image in the camera's plane x = 0; ``turning`` as ``Category`` has it. ``beta`` stays that of the object
+        in the mirror."""
+        return replace(
+            self,
+            placed=self.placed.mirrored(turning),
+            canonical_keypoints=self.canonical_keypoints * MIRROR_X,
+            canonical_axes=mirrored_axes(self.canonical_axes, turning),
+            canonical_pivots=self.canonical_pivots * MIRROR_X,
+            keypoints=self.keypoints * MIRROR_X,
+        )
 
 
 class Poser:

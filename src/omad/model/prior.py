@@ -8,9 +8,11 @@ from dataclasses import dataclass
 from itertools import accumulate, pairwise
 from typing import Self
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
+from omad.common.arrays import as_doubles
 from omad.geometry.kinematics import KinematicTree, deform
 from omad.geometry.transforms import MIRROR_X
 from omad.objects.category import Category
@@ -99,6 +101,7 @@ class OmadPrior(nn.Module):
 
     @property
     def num_keypoints(self) -> int:
+        """Of all parts together."""
         return len(self.part_of)
 
     def repeated(self, times: int) -> Self:
@@ -150,5 +153,7 @@ class OmadPrior(nn.Module):
 
     def encode(self, keypoints: Tensor) -> Tensor:
         """The beta whose keypoints are nearest to canonical ``keypoints`` (B, M, 3), least squares -> (B, D)."""
-        flat = self.basis.detach().reshape(-1, self.basis_size)
-        return torch.linalg.lstsq(flat, keypoints.flatten(1).mT).solution.mT
+        # PyTorch's own solver gives other last digits in every run, and a basis of few objects makes much of them
+        inverse = np.linalg.pinv(as_doubles(self.basis.detach()).reshape(-1, self.basis_size))
+        doubles = keypoints.flatten(1).double()
+        return (doubles @ torch.as_tensor(inverse.T).to(doubles)).to(keypoints)

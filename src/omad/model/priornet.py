@@ -6,6 +6,7 @@ surface, spread them over their part, and tie them to ``B beta``, so that what s
 basis is what all objects of the category have in common.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Self
 
@@ -53,27 +54,29 @@ class PriorNet(Network):
     def from_sizes(cls, category: Category, sizes: dict[str, Any]) -> Self:
         return cls(category)
 
-    def forward(self, points: Tensor, labels: Tensor) -> PriorNetOutput:
-        """points (B, N, 3) canonical at rest in category units, labels (B, N)."""
-        parts = len(self.category.parts)
-        member = labels[:, None] == torch.arange(parts, device=labels.device)[:, None]  # (B, K, N)
-        low, high = part_extents(points, member)
-        of_point = labels[..., None].expand(-1, -1, 3)
-        half = ((high - low) / 2).clamp(min=1e-3).gather(1, of_point)
-        local = (points - ((high + low) / 2).gather(1, of_point)) / half
-        features = self.encoder(torch.cat([points, local, member.mT.to(points.dtype)], -1))
-        own = [features.masked_fill(~inside[..., None], -torch.inf).amax(1) for inside in member.unbind(1)]
-        pooled = torch.stack(own, 1)  # (B, K, width)
+    def forward(self, clouds: Sequence[Tensor]) -> PriorNetOutput:
+        """clouds: of every part (B, n, 3), canonical at rest in category units; n may differ from part to part."""
+        counts = [cloud.shape[1] for cloud in clouds]
+        low, high = part_boxes(clouds)
+        centre, half = (high + low) / 2, ((high - low) / 2).clamp(min=1e-3)
+        each = torch.arange(len(clouds), device=low.device).repeat_interleave(torch.tensor(counts, device=low.device))
+        points = torch.cat(list(clouds), 1)
+        local = (points - centre[:, each]) / half[:, each]
+        member = nn.functional.one_hot(each, len(clouds)).to(points).expand(len(points), -1, -1)
+        features = self.encoder(torch.cat([points, local, member], -1))
+        pooled = torch.stack([own.amax(1) for own in features.split(counts, 1)], 1)  # (B, K, width)
         context = self.context_layer(pooled.flatten(1))[:, None]
-        logits = self.node_head((self.node_layer(torch.cat([features, local], -1)) + context).relu())  # (B, N, M)
-        attention = logits.masked_fill(labels[..., None] != self.part_of, -torch.inf).softmax(1)
-        nodes = attention.mT @ points
+        hidden = (self.node_layer(torch.cat([features, local], -1)) + context).relu().split(counts, 1)
+        nodes = [
+            nn.functional.linear(own, self.node_head.weight[of], self.node_head.bias[of]).softmax(1).mT @ cloud
+            for own, cloud, of in zip(hidden, clouds, self.prior.keypoints_of_part, strict=True)
+        ]
+        nodes = torch.cat(nodes, 1)
         images = nodes[:, self.prior.source] * nodes.new_tensor(MIRROR_X)  # of the learned partners
         beta = self.shape_head(torch.cat([pooled, low, high], -1).flatten(1))
         return PriorNetOutput(torch.where(self.prior.is_image[:, None], images, nodes), beta)
 
 
-def part_extents(points: Tensor, member: Tensor) -> tuple[Tensor, Tensor]:
-    """Corners (B, K, 3) of each part's axis-aligned box; ``member`` broadcasts to (B, K, P)."""
-    inside, spread = member[..., None], points[:, None]
-    return torch.where(inside, spread, torch.inf).amin(2), torch.where(inside, spread, -torch.inf).amax(2)
+def part_boxes(clouds: Sequence[Tensor]) -> tuple[Tensor, Tensor]:
+    """Corners (B, K, 3) of the axis-aligned boxes around points (B, n, 3) of each part."""
+    return torch.stack([cloud.amin(1) for cloud in clouds], 1), torch.stack([cloud.amax(1) for cloud in clouds], 1)

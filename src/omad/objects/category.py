@@ -28,11 +28,13 @@ class PartSpec:
     """One part of a category."""
 
     name: str
+    """A word."""
     keypoints: int
     """Number of keypoints on the part; even where the part is its own mirror image."""
     mirror: int | None = None
     """Index of the part that is this one's image in the plane x = 0 (itself, another, or None: no mirror)."""
     aliases: tuple[str, ...] = ()
+    """Words in the names of models' links that are this part, besides its name."""
     """Link and semantic names that foreign models use for this part; matched as lower-case substrings."""
     sides: tuple[tuple[float, float], tuple[float, float], tuple[float, float]] | None = None
     """Least and largest extent along x, y and z at rest, as shares of the whole object's diagonal: a foreign model
@@ -51,8 +53,11 @@ class JointSpec:
     """Joint that links part ``index + 1`` to ``parent``; ``index`` is its place in ``Category.joints``."""
 
     name: str
+    """A word."""
     type: JointType
+    """What it does: turns, slides, or both."""
     parent: int
+    """Index of the part that it hangs on."""
     axis: tuple[float, float, float]
     """Direction in canonical space, signed as the category's state is."""
     limits: tuple[float, float]
@@ -64,6 +69,7 @@ class JointSpec:
     pitch: float | None = None
     """Metres a turn that a joint which turns and slides advances along its axis, signed; no other joint has one."""
     rest: RestRule = "closed"
+    """How geometry tells state 0."""
 
     def __post_init__(self) -> None:
         for field, direction in (("axis", self.axis), ("reach", self.reach), ("side", self.side)):
@@ -112,15 +118,22 @@ class Category:
     """What the parts and joints of a kind of object are called and how they are signed."""
 
     name: str
+    """A word, which files and commands use."""
     metres_per_unit: float
     """One category unit in metres: about the radius of an object's bounding sphere."""
     parts: tuple[PartSpec, ...]
+    """The base first."""
     joints: tuple[JointSpec, ...]
+    """Joint j moves part j + 1."""
     views: ViewRange = ViewRange()
+    """From where such objects are seen."""
     basis_size: int = 10
     """Numbers that beta has."""
     swap_symmetry: bool = False
     """The object turned half about z with its two parts swapped is the same object: either labelling is right."""
+    either_hand: bool = False
+    """The mirror image of such an object is one too, as of a door hinged on the other side. Parts, joints and whatever
+    is learned are of the hand that the spec describes; objects of the other hand are taken as their mirror image."""
     source_names: tuple[str, ...] = ()
     """What data sets call the category besides ``name``: a model that says it is of another one is refused."""
 
@@ -147,6 +160,8 @@ class Category:
                 _check_unique(joint, self.joints)
                 if not 0 <= joint.parent <= index:
                     raise ValueError(f"parent: is part {joint.parent}; name one before its child")
+        if self.either_hand and any(joint.pitch for joint in self.joints):
+            raise ValueError("either_hand: a thread in a mirror is another thread; remove it")
         if self.swap_symmetry and len(self.parts) != 2:
             raise ValueError(f"swap_symmetry: is for two parts, not {len(self.parts)}; remove it")
 
@@ -191,6 +206,7 @@ class Category:
 
     @property
     def num_keypoints(self) -> int:
+        """Of all parts together."""
         return sum(part.keypoints for part in self.parts)
 
     @property

@@ -77,6 +77,7 @@ class _File:
     views: _Views = _Views()
     basis_size: int = Category.basis_size
     swap_symmetry: bool = Category.swap_symmetry
+    either_hand: bool = Category.either_hand
     source_names: tuple[str, ...] = Category.source_names
 
 

@@ -11,8 +11,10 @@ from omad.geometry.joint_kinds import Motion
 from omad.geometry.kinematics import KinematicTree, part_transforms
 from omad.geometry.mesh import Mesh, closed, sample_triangles, triangle_normals
 from omad.geometry.rigid import box
+from omad.geometry.transforms import MIRROR_X
 
 from .category import Category
+from .pose import mirrored_axes
 
 NEIGHBOURS = 10
 """Of a surface point, that tell its normal and how much of the surface it stands for."""
@@ -40,11 +42,17 @@ class ObjectModel:
     """An articulated object in its category's canonical space (y up, z front, rest box centred on the origin)."""
 
     name: str
+    """Of the object."""
     category: str
+    """The category's name."""
     part_names: tuple[str, ...]
+    """The base first."""
     parts: tuple[Mesh, ...]
+    """A mesh each, at rest: metres, canonical space."""
     joint_names: tuple[str, ...]
+    """Joint j moves part j + 1."""
     tree: KinematicTree
+    """What hangs on what."""
     axes: np.ndarray
     """(J, 3) float64 unit, canonical space."""
     pivots: np.ndarray
@@ -110,6 +118,17 @@ class ObjectModel:
         parts = tuple(part.warped(lambda vertices: vertices - centre) for part in self.parts)
         pivots = np.where(np.array(self.tree.turning)[:, None], self.pivots - centre, 0.0)
         return replace(self, parts=parts, pivots=pivots)
+
+    def mirrored(self) -> Self:
+        """Its image in the plane x = 0. States keep their signs: what turned one way about an axis turns the other way
+        about the axis' image, so that the image is turned round."""
+        axes = mirrored_axes(self.axes, self.tree.turning)
+        motions = tuple(
+            replace(motion, slide=-motion.slide) if motion.turns else motion for motion in self.tree.motions
+        )
+        parts = tuple(part.mirrored() for part in self.parts)
+        tree = replace(self.tree, motions=motions)
+        return replace(self, parts=parts, axes=axes, pivots=self.pivots * MIRROR_X, tree=tree)
 
     def stretched(self, factors: np.ndarray) -> Self:
         """The same object with other proportions: its rest state scaled by ``factors`` (3,) along the canonical axes,

@@ -8,6 +8,8 @@ import numpy as np
 from torch import Tensor
 
 from omad.geometry.kinematics import KinematicTree, joint_lines, part_transforms
+from omad.geometry.rigid import mirrored
+from omad.geometry.transforms import MIRROR_X
 
 
 @dataclass(frozen=True)
@@ -43,3 +45,14 @@ class ObjectPose:
     def swapped(self) -> Self:
         """The same object with its two parts' names exchanged, turned half about z (``Category.swap_symmetry``)."""
         return replace(self, axes=-self.axes, T_camera_part=self.T_camera_part[::-1] @ np.diag([-1.0, -1.0, 1.0, 1.0]))
+
+    def mirrored(self, turning: Sequence[bool]) -> Self:
+        """Its image in the camera's plane x = 0: of the object that is the mirror image, in x = 0 of canonical space.
+        States keep their signs: the images of axes that things turn about (``turning``, (J,)) are turned round."""
+        axes = mirrored_axes(self.axes, turning)
+        return replace(self, axes=axes, pivots=self.pivots * MIRROR_X, T_camera_part=mirrored(self.T_camera_part))
+
+
+def mirrored_axes(axes: np.ndarray, turning: Sequence[bool]) -> np.ndarray:
+    """Images in the plane x = 0 of axes (J, 3), about which things turn (``turning``) or along which they slide."""
+    return axes * MIRROR_X * np.where(turning, -1.0, 1.0)[:, None]

@@ -3,25 +3,32 @@
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+import numpy as np
+
 from omad.common.errors import InputError
 from omad.common.files import write_json
 from omad.estimation.estimate import Estimate
 from omad.sensing.observation import Observation
 
+from .frame import Frame
 from .gltf import save_glb
 from .ply import save_ply
 from .rerun import save_rrd
-from .robot_urdf import save_robot
+from .robots.mjcf import save_mjcf
+from .robots.urdf import save_robot
+from .robots.usd import save_usd
 from .ros import ros_messages
 
-FORMATS: dict[str, Callable[[Estimate, Observation, Path], object]] = {
-    "urdf": lambda estimate, seen, folder: save_robot(estimate, folder / "robot.urdf", seen),
-    "ply": lambda estimate, seen, folder: save_ply(estimate, folder, seen),
-    "glb": lambda estimate, seen, folder: save_glb(estimate, folder / "object.glb", seen),
-    "ros": lambda estimate, seen, folder: write_json(folder / "ros.json", ros_messages(estimate), indent=1),
-    "rrd": lambda estimate, seen, folder: save_rrd(estimate, folder / "object.rrd", seen),
+FORMATS: dict[str, Callable[[Estimate, Observation, Path, Frame], object]] = {
+    "urdf": lambda estimate, seen, folder, frame: save_robot(estimate, folder / "robot.urdf", seen, frame),
+    "mjcf": lambda estimate, seen, folder, frame: save_mjcf(estimate, folder / "robot.xml", seen, frame),
+    "usd": lambda estimate, seen, folder, frame: save_usd(estimate, folder / "robot.usda", seen, frame),
+    "ply": lambda estimate, seen, folder, frame: save_ply(estimate, folder, seen, frame),
+    "glb": lambda estimate, seen, folder, frame: save_glb(estimate, folder / "object.glb", seen, frame),
+    "ros": lambda estimate, _, folder, frame: write_json(folder / "ros.json", ros_messages(estimate, 0, frame), 1),
+    "rrd": lambda estimate, seen, folder, frame: save_rrd(estimate, folder / "object.rrd", seen, frame),
 }
-"""Each writes an estimate and what it was made from into a folder."""
+"""Each writes an estimate, and what it was made from, into a folder, in a frame."""
 
 
 def check_formats(names: Sequence[str]) -> None:
@@ -31,9 +38,16 @@ def check_formats(names: Sequence[str]) -> None:
             raise InputError(f"--formats {name}: no such format; choose of {', '.join(FORMATS)}")
 
 
-def save_formats(estimate: Estimate, observation: Observation, folder: str | Path, formats: Sequence[str]) -> None:
-    """Write the formats named into ``folder``: ``robot.urdf``, ``object.ply`` and parts, ``object.glb``, ``ros.json``,
-    ``object.rrd``. Raises InputError."""
+def save_formats(
+    estimate: Estimate,
+    observation: Observation,
+    folder: str | Path,
+    formats: Sequence[str],
+    T_world_camera: np.ndarray | None = None,
+) -> None:
+    """Write the formats named into ``folder``: ``robot.urdf``, ``robot.xml`` (MJCF), ``robot.usda``, ``object.ply`` and
+    parts, ``object.glb``, ``ros.json``, ``object.rrd``; in the camera frame, or in the world, z up, where the camera's
+    pose (4, 4) in it is given. Raises InputError."""
     check_formats(formats)
     for name in formats:
-        FORMATS[name](estimate, observation, Path(folder))
+        FORMATS[name](estimate, observation, Path(folder), Frame.of(T_world_camera))

@@ -1,5 +1,6 @@
 """GLB: the object as a tree of nodes, a node a joint, with an animation that opens and closes every joint. glTF's frame
-is canonical space (y up, z to the front, metres), so nothing is turned."""
+is canonical space (y up, z to the front, metres), so nothing is turned, but where
+the camera's place in a world is known."""
 
 import json
 import struct
@@ -14,18 +15,25 @@ from omad.common.files import write_atomic
 from omad.estimation.estimate import Estimate
 from omad.sensing.observation import Observation
 
+from .frame import CAMERA, Frame
 from .ply import byte_colours, part_surfaces
 
 SECONDS = 6.0
 KEYS = 49
 FLOAT, UINT = 5126, 5125
+Y_UP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
+"""From a frame whose z points up."""
 TYPES = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
 
 
-def save_glb(estimate: Estimate, path: str | Path, observation: Observation | None = None) -> None:
+def save_glb(
+    estimate: Estimate, path: str | Path, observation: Observation | None = None, frame: Frame = CAMERA
+) -> None:
     """Write ``path``: nodes ``<joint name>`` with the estimated state, below each a mesh node ``<part name>`` in
     canonical coordinates; the animation ``open and close`` runs all joints from the estimated state through both
-    limits and back. ``extras`` of the root node ``canonical`` holds ``T_camera_base`` and the joint states."""
+    limits and back. ``extras`` of the node ``canonical`` holds ``T_camera_base`` and the joint states. Where
+    ``frame`` is the world, with z up, that node hangs on another, ``world``, which puts it there, in glTF's manner y
+    up."""
     file = _Glb()
     surfaces, colours = part_surfaces(estimate, observation), byte_colours(estimate)
     places = np.concatenate([np.zeros((1, 3)), estimate.canonical_pivots])
@@ -46,13 +54,13 @@ def save_glb(estimate: Estimate, path: str | Path, observation: Observation | No
         if joint.unit_motion.slide:
             moved["translation"] = offset + joint.unit_motion.slide * travel
         frames[parent]["children"].append(len(frames))
-        frame = {"name": joint.name, "children": [], "translation": offset.tolist()}
+        node = {"name": joint.name, "children": [], "translation": offset.tolist()}
         for kind, keys in moved.items():
             # the first key is the node's own value: a viewer that plays nothing shows the estimate
-            frame[kind] = keys[0].tolist()
+            node[kind] = keys[0].tolist()
             channels.append({"sampler": len(samplers), "target": {"node": len(frames), "path": kind}})
             samplers.append({"input": clock, "output": file.accessor(keys), "interpolation": "LINEAR"})
-        frames.append(frame)
+        frames.append(node)
     meshes, materials, nodes = [], [], list(frames)
     for part, (spec, mesh, colour) in enumerate(zip(estimate.category.parts, surfaces, colours, strict=True)):
         frames[part]["children"].append(len(nodes))
@@ -65,7 +73,12 @@ def save_glb(estimate: Estimate, path: str | Path, observation: Observation | No
         look = {"baseColorFactor": linear, "metallicFactor": 0.0, "roughnessFactor": 0.8}
         materials.append({"name": spec.name, "doubleSided": True, "pbrMetallicRoughness": look})
     animation = {"name": "open and close", "samplers": samplers, "channels": channels}
-    file.content |= {"scene": 0, "scenes": [{"nodes": [0]}], "nodes": nodes, "meshes": meshes}
+    root = 0
+    if frame.upright:
+        root = len(nodes)
+        T = Y_UP @ frame.T_frame_camera @ estimate.T_camera_base
+        nodes.append({"name": frame.name, "children": [0], "matrix": T.T.ravel().tolist()})  # column by column
+    file.content |= {"scene": 0, "scenes": [{"nodes": [root]}], "nodes": nodes, "meshes": meshes}
     file.content |= {"materials": materials, "animations": [animation]}
     write_atomic(path, lambda temporary: temporary.write_bytes(file.to_bytes()))
 

@@ -20,6 +20,7 @@ from omad.geometry.mesh import convex_hull
 from omad.objects.pose import ObjectPose
 from omad.sensing.observation import Observation
 
+from .frame_image import frame_image, jpeg_uri
 from .picture import camera_around, part_colours, window
 
 MAX_POINTS = 4000
@@ -79,7 +80,7 @@ def page_data(
         "residual": _rounded(estimate.residual, 6),
         "warnings": list(estimate.warnings),
         "seconds": {name: _rounded(value, 4) for name, value in estimate.seconds.items()},
-        "picture": _picture(observation),
+        "picture": _picture(observation) | {"colours": observation.color is not None},
         "cloud": _rounded(observation.points[drawn], 4),
         "labels": estimate.part_labels[drawn].tolist(),
         "points": len(observation.points),
@@ -106,19 +107,19 @@ def _picture(observation: Observation) -> dict[str, Any]:
     # pixel centres are at integers, a canvas counts from the pixel's corner
     canvas = camera.zoomed(scale, x1 - 0.5, y1 - 0.5, size)
     shown = {key: getattr(canvas, key) for key in ("width", "height", "fx", "fy", "cx", "cy")}
-    depth = observation.depth
-    return {**shown, "source": None if depth is None else _depth_png(depth[y1:y2, x1:x2], *observation.depth_range)}
+    return {**shown, "source": _source(observation, slice(y1, y2), slice(x1, x2))}
 
 
-def _depth_png(depth: np.ndarray, near: float, far: float) -> str:
-    """Depth (H, W) as a data URI: near is bright, what was not measured is white."""
-    share = np.clip((far - depth) / max(far - near, 1e-6), 0, 1)
-    image = Image.fromarray(np.where(depth > 0, np.rint(254 * share), 255).astype(np.uint8)).convert("P")
-    colours = np.rint(255 * matplotlib.colormaps["viridis"](np.linspace(0, 1, 255))[:, :3]).astype(np.uint8)
-    image.putpalette([*colours.ravel().tolist(), 255, 255, 255])
+def _source(observation: Observation, rows: slice, columns: slice) -> str | None:
+    """Colours or depth of a part of the image as a data URI; of a bare cloud None."""
+    if observation.depth is None:
+        return None
+    image = Image.fromarray(frame_image(observation)[rows, columns])
     image.thumbnail((2 * MAX_IMAGE, 2 * MAX_IMAGE), Image.Resampling.NEAREST)
+    if observation.color is not None:
+        return jpeg_uri(image)
     stored = io.BytesIO()
-    image.save(stored, "PNG", optimize=True)
+    image.quantize(256, Image.Quantize.FASTOCTREE).save(stored, "PNG", optimize=True)
     return "data:image/png;base64," + base64.b64encode(stored.getvalue()).decode()
 
 

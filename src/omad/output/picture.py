@@ -1,25 +1,43 @@
 """Pictures of estimates."""
 
+import io
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import matplotlib.colors
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.patches import Patch
 from matplotlib.text import Text
+from PIL import Image
 
 from omad.common.files import write_atomic
-from omad.data.rendering.rasteriser import NOTHING, Rendering, render
-from omad.estimation.estimate import Estimate, JointEstimate
+from omad.data.rendering.rasteriser import NOTHING, Rendering, rasterise, render
+from omad.estimation.estimate import Estimate
 from omad.geometry.camera import NEAREST, STANDARD_CAMERA, Camera
+from omad.geometry.mesh import merge_meshes
 from omad.geometry.rigid import box, carry
+from omad.model.surfaces.agreement import Overlay
 from omad.objects.pose import ObjectPose
 from omad.sensing.observation import Observation
 
 PART_COLOURS = np.array([[0.35, 0.6, 0.95], [1.0, 0.6, 0.25], [0.45, 0.8, 0.4], [0.85, 0.4, 0.75], [0.6, 0.6, 0.6]])
+DIFFERENCES = {
+    "in_front": ("in front of what was seen", "#e8a000"),
+    "behind": ("behind it", "#6a3fd0"),
+    "missing": ("seen, but no surface", "#d01030"),
+}
+"""Where a surface is not what was seen: how that is called, and its colour."""
 MAX_SIDE = 2000
 """Pixels of an image that is drawn."""
+DPI = 80
+PANEL, TITLE, HEAD = 5.0, 0.35, 0.9
+"""Inches: the width of a panel, what its title and the figure's take."""
+EDGE, FLATTEST = 0.06, 0.6
+"""Of the object's size, what is left free around it; and the least that a panel is high or wide, of its other side."""
 MAX_DRAWN = 6000
 """Points of a cloud that are drawn at most."""
 
@@ -36,11 +54,16 @@ def part_colours(parts: np.ndarray | int) -> np.ndarray:
 
 def figure(observation: Observation, estimate: Estimate, truth: ObjectPose | None = None, title: str = "") -> Figure:
     """Six panels: depth, what was seen (parts, keypoints, axes), the cloud from the side, and the estimated object
-    as it is and at both ends of its joints' travel. With ``truth`` the true axes are dotted."""
+    as it is, held against what was seen, and at both ends of its joints' travel. With ``truth`` the true axes are
+    dotted."""
     observation = _for_picture(observation)
     camera = observation.camera or camera_around(observation.points)
-    left, right, top, bottom = window(camera, observation.points)
-    fig, grid = blank_panels(2, 3, (15, 9.4))
+    model = estimate.object_model()
+    poses = np.array([(joint.state, *joint.limits) for joint in estimate.joints]).T
+    places = [carry(estimate.T_camera_base, np.concatenate(model.posed_vertices(states))) for states in poses]
+    windows = [around(camera, points) for points in ((observation.points, estimate.keypoints), places)]
+    heights = [PANEL * (bottom - top) / (right - left) + TITLE for left, right, top, bottom in windows]
+    fig, grid = blank_panels(2, 3, (3 * PANEL, sum(heights) + HEAD), heights)
     panels = grid.ravel()
     if observation.depth is None:
         draw_points(panels[0], camera, observation.points, np.array([0.3, 0.3, 0.3]))
@@ -50,6 +73,8 @@ def figure(observation: Observation, estimate: Estimate, truth: ObjectPose | Non
         panels[0].imshow(depth, cmap="viridis_r", vmin=near, vmax=far + 1e-6)
         panels[0].set_title("depth")
 
+    if observation.color is not None:
+        panels[1].imshow(observation.color)
     draw_points(panels[1], camera, observation.points, part_colours(estimate.part_labels))
     draw_keypoints(panels[1], camera, estimate)
     _draw_axes(panels[1], camera, estimate)
@@ -61,26 +86,36 @@ def figure(observation: Observation, estimate: Estimate, truth: ObjectPose | Non
     _draw_from_side(panels[2], observation.points, estimate)
     panels[2].set_title("cloud and estimated object from the side")
 
-    model = estimate.object_model()
-    poses = np.array([(joint.state, *joint.limits) for joint in estimate.joints]).T
-    names = "estimated object", "joints at lower limit", "joints at upper limit"
-    for panel, name, states in zip(panels[3:], names, poses, strict=True):
+    _draw_surface(panels[3], camera, observation, estimate)
+    for panel, name, states in zip(panels[4:], ("lower", "upper"), poses[1:], strict=True):
         panel.imshow(shaded(render(model, states, estimate.T_camera_base, camera)))
-        panel.set_title(name)
+        panel.set_title(f"joints at {name} limit")
         _draw_axes(panel, camera, estimate)
-    for panel in np.delete(panels, 2):
+    for panel, (left, right, top, bottom) in zip(np.delete(panels, 2), np.repeat(windows, (2, 3), 0), strict=True):
         panel.set(xlim=(left, right), ylim=(bottom, top), aspect="equal")
-    states = ", ".join(describe(joint) for joint in estimate.joints)
+    states = ", ".join(map(str, estimate.joints))
     fig.suptitle("\n".join(filter(None, [title, states, how_sure(estimate)])))
     plain_texts(fig)
     fig.tight_layout()
     return fig
 
 
-def blank_panels(rows: int, columns: int, size: tuple[float, float]) -> tuple[Figure, np.ndarray]:
-    """A white figure of ``size`` inches and its panels (rows, columns), without axes."""
-    fig = Figure(figsize=size, facecolor="white")
-    panels = fig.subplots(rows, columns, squeeze=False)
+class Picture(Figure):
+    """A figure that notebooks display, pyplot or not."""
+
+    def _repr_png_(self) -> bytes:
+        drawn, stored = io.BytesIO(), io.BytesIO()
+        self.savefig(drawn, format="png", dpi=DPI)
+        Image.open(drawn).convert("RGB").quantize(128).save(stored, "PNG", optimize=True)  # notebooks keep it
+        return stored.getvalue()
+
+
+def blank_panels(
+    rows: int, columns: int, size: tuple[float, float], heights: Sequence[float] | None = None
+) -> tuple[Figure, np.ndarray]:
+    """A white figure of ``size`` inches and its panels (rows, columns), without axes; ``heights`` of the rows."""
+    fig = Picture(figsize=size, facecolor="white")
+    panels = fig.subplots(rows, columns, squeeze=False, height_ratios=heights)
     for panel in panels.flat:
         panel.set_axis_off()
     return fig, panels
@@ -97,7 +132,7 @@ def show(observation: Observation, estimate: Estimate, path: str | Path | None =
 def save(fig: Figure, path: str | Path) -> None:
     """Write a PNG."""
     plain_texts(fig)
-    write_atomic(path, lambda temporary: fig.savefig(temporary, dpi=80))
+    write_atomic(path, lambda temporary: fig.savefig(temporary, dpi=DPI))
 
 
 def plain_texts(fig: Figure) -> None:
@@ -116,13 +151,8 @@ def _for_picture(observation: Observation) -> Observation:
         return observation
     depth = None if depth is None else depth[::every, ::every]
     size = -(-camera.width // every), -(-camera.height // every)
-    return replace(observation, depth=depth, camera=camera.zoomed(1 / every, size=size))
-
-
-def describe(joint: JointEstimate) -> str:
-    """A joint's state as a person reads it."""
-    per_unit, unit = reading(joint.pivot is not None)
-    return f"{joint.name} {joint.state / per_unit:.1f}{unit} ± {joint.state_std / per_unit:.1f}{unit}"
+    color = None if observation.color is None else observation.color[::every, ::every]
+    return replace(observation, depth=depth, color=color, camera=camera.zoomed(1 / every, size=size))
 
 
 def how_sure(estimate: Estimate) -> str:
@@ -170,13 +200,32 @@ def shaded(rendering: Rendering) -> np.ndarray:
     return image
 
 
+def _draw_surface(panel: Axes, camera: Camera, observation: Observation, estimate: Estimate) -> None:
+    """The estimated surface; where it is not what was seen, pixels have the colours of ``DIFFERENCES``."""
+    parts = estimate.surface.posed()
+    overlay = Overlay.of(parts, observation)
+    mesh, own = merge_meshes(parts), overlay.camera
+    labels = np.repeat(np.arange(len(parts), dtype=np.uint8), [len(part.faces) for part in parts])
+    panel.imshow(shaded(rasterise(mesh.vertices, mesh.faces, labels, camera)))
+    tint = np.zeros((own.height, own.width, 4))
+    for name, (_, colour) in DIFFERENCES.items():
+        tint[overlay.differences[name]] = matplotlib.colors.to_rgba(colour, 0.8)
+    corners = own.backproject(np.array([[-0.5, -0.5], [own.width - 0.5, own.height - 0.5]]), np.ones(2))
+    (left, top), (right, bottom) = camera.project(corners)
+    panel.imshow(tint, extent=(left, right, bottom, top), interpolation="nearest")
+    panel.set_title(f"estimated object: {overlay.agreement.explained:.0%} of the pixels explained")
+    names = [Patch(color=colour, label=said) for said, colour in DIFFERENCES.values()]
+    panel.legend(handles=names, loc="lower left", fontsize=7, frameon=False)
+
+
 def _draw_from_side(panel: Axes, points: np.ndarray, estimate: Estimate) -> None:
     """Cloud and model outlines along the object's own x axis, orthographically: depth errors show here."""
     step = -(-len(points) // MAX_DRAWN)
-    _, y, z = carry(np.linalg.inv(estimate.T_camera_base), points[::step]).T
+    T_base_camera = np.linalg.inv(estimate.surface.placed.T_camera_part[0])
+    _, y, z = carry(T_base_camera, points[::step]).T
     panel.scatter(z, y, s=1.5, c=part_colours(estimate.part_labels[::step]), linewidths=0)
-    for part, mesh in enumerate(estimate.object_model().posed(estimate.joint_states)):
-        loops = mesh.triangles[:, [0, 1, 2, 0]]
+    for part, mesh in enumerate(estimate.surface.posed()):
+        loops = mesh.carried(T_base_camera).triangles[:, [0, 1, 2, 0]]
         panel.plot(*loops[..., [2, 1]].transpose(2, 1, 0), color=0.6 * part_colours(part), linewidth=0.6)
     panel.set_aspect("equal")
 
@@ -187,6 +236,15 @@ def window(camera: Camera, points: np.ndarray) -> tuple[float, float, float, flo
     x, y = box(pixels).sum(0) / 2
     half = 0.85 * np.ptp(pixels, axis=0).max() + 1
     return x - half, x + half, y - half, y + half
+
+
+def around(camera: Camera, clouds: Sequence[np.ndarray]) -> tuple[float, float, float, float]:
+    """Image region (left, right, top, bottom) that all points of clouds (N, 3) just fit into, neither very flat nor
+    very high."""
+    low, high = box(np.concatenate([camera.project(points) for points in clouds]))
+    middle, half = (low + high) / 2, (0.5 + EDGE) * (high - low) + 1
+    half = np.maximum(half, FLATTEST * half[::-1])
+    return middle[0] - half[0], middle[0] + half[0], middle[1] - half[1], middle[1] + half[1]
 
 
 def camera_around(points: np.ndarray) -> Camera:

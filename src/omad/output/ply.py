@@ -11,6 +11,7 @@ from omad.geometry.mesh import Mesh, convex_hull
 from omad.geometry.rigid import box, carry
 from omad.sensing.observation import Observation
 
+from .frame import CAMERA, Frame
 from .picture import part_colours
 
 MARGIN = 0.1
@@ -41,11 +42,13 @@ def byte_colours(estimate: Estimate) -> np.ndarray:
     return np.rint(255 * part_colours(np.arange(len(estimate.category.parts)))).astype(np.uint8)
 
 
-def save_ply(estimate: Estimate, folder: str | Path, observation: Observation | None = None) -> list[Path]:
-    """Write ``object.ply`` (all parts, coloured) and ``part-<name>.ply`` each: camera frame, metres, estimated state,
+def save_ply(
+    estimate: Estimate, folder: str | Path, observation: Observation | None = None, frame: Frame = CAMERA
+) -> list[Path]:
+    """Write ``object.ply`` (all parts, coloured) and ``part-<name>.ply`` each: ``frame``, metres, estimated state,
     so that they lie on the observed cloud. Returns the files."""
     folder, parts = Path(folder), {}
-    fitted = estimate.surface.placed.T_camera_part
+    fitted = frame.T_frame_camera @ estimate.surface.placed.T_camera_part
     of_parts = part_surfaces(estimate, observation), fitted, byte_colours(estimate)
     for spec, mesh, T, colour in zip(estimate.category.parts, *of_parts, strict=True):
         placed, rgba = mesh.carried(T), np.append(colour, 255).astype(np.uint8)

@@ -7,23 +7,24 @@ from scipy.spatial.transform import Rotation
 
 from omad.estimation.estimate import Estimate
 
-from .robot_urdf import CAMERA, link_frames
+from .frame import CAMERA, Frame
+from .robots.robot import link_frames
 
 
-def ros_messages(estimate: Estimate, stamp_ns: int = 0, camera_frame: str = CAMERA) -> dict[str, Any]:
+def ros_messages(estimate: Estimate, stamp_ns: int = 0, frame: Frame = CAMERA) -> dict[str, Any]:
     """``{"joint_state": JointState, "tf": TFMessage, "probability": that it is right, or None}`` of plain Python
-    values. ``stamp_ns``: nanoseconds, when the image was taken. ``camera_frame`` is the parent of the base link; each
-    other link hangs on its parent link, as in the URDF. Metres, radians; quaternions x, y, z, w."""
+    values. ``stamp_ns``: nanoseconds, when the image was taken. ``frame`` is the parent of the base link; each other
+    link hangs on its parent link, as in the URDF. Metres, radians; quaternions x, y, z, w."""
     stamp = {"sec": stamp_ns // 10**9, "nanosec": stamp_ns % 10**9}
     names = [part.name for part in estimate.category.parts]
     frames = link_frames(estimate)
-    transforms = [_transform(stamp, camera_frame, names[0], frames[0])]
+    transforms = [_transform(stamp, frame.name, names[0], frame.T_frame_camera @ frames[0])]
     for child, parent in enumerate(estimate.category.tree.parents, start=1):
         relative = np.linalg.inv(frames[parent]) @ frames[child]
         transforms.append(_transform(stamp, names[parent], names[child], relative))
     states = {joint.name: float(joint.state) for joint in estimate.joints}
     told = {"name": list(states), "position": list(states.values()), "velocity": [], "effort": []}
-    joint_state = {"header": {"stamp": stamp, "frame_id": camera_frame}} | told
+    joint_state = {"header": {"stamp": stamp, "frame_id": frame.name}} | told
     return {"joint_state": joint_state, "tf": {"transforms": transforms}, "probability": estimate.probability}
 
 

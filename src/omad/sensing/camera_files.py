@@ -40,9 +40,9 @@ class CameraFile:
 
 def read_camera(source: str | Path) -> CameraFile:
     """Intrinsics, lens and image size from ``fx,fy,cx,cy`` or a file. Files: Open3D JSON (``intrinsic_matrix``,
-    column-major), JSON or YAML with ``fx, fy, cx, cy`` or librealsense's ``fx, fy, ppx, ppy`` (with ``model`` and
-    ``coeffs``), ROS CameraInfo YAML (``K`` or ``k``, with ``distortion_model`` and ``D`` or ``d``), NPY, or text
-    holding 3x3 or 4 numbers. Raises InputError for others."""
+    column-major, alone or in PinholeCameraParameters), JSON or YAML with ``fx, fy, cx, cy`` or librealsense's ``fx, fy,
+    ppx, ppy`` (with ``model`` and ``coeffs``), ROS CameraInfo YAML (``K`` or ``k``, with ``distortion_model`` and ``D``
+    or ``d``), NPY, or text holding 3x3 or 4 numbers. Raises InputError for others."""
     text = str(source)
     if (numbers := _numbers(text)) is not None:
         return CameraFile(_as_K(numbers, f"intrinsics {shown(repr(text))}"))
@@ -50,16 +50,41 @@ def read_camera(source: str | Path) -> CameraFile:
         raise InputError(f"intrinsics {shown(repr(text))}: neither fx,fy,cx,cy nor an existing file")
     path = Path(source)
     data = _read(path, "K")
-    if isinstance(data, np.ndarray):
-        return CameraFile(_as_K(data, str(path)))
-    K = _as_K(_find_intrinsics(data, path), str(path))
+    return CameraFile(_as_K(data, str(path))) if isinstance(data, np.ndarray) else camera_of(data, path)
+
+
+def camera_of(data: Any, name: str | Path) -> CameraFile:
+    """What a table tells of a camera under any of the names that ``read_camera`` knows; ``name``: of it in messages.
+    Raises InputError."""
+    data = _inner(data)
+    K = _as_K(_find_intrinsics(data, name), str(name))
     try:
         return CameraFile(K, _find_distortion(data), _find_size(data))
     except InputError as error:
-        raise InputError(f"{path}: {error}; undistort the images and give fx,fy,cx,cy, or --distortion") from error
+        raise InputError(f"{name}: {error}; undistort the images and give fx,fy,cx,cy, or --distortion") from error
     except WRONG as error:
         cure = "give width, height, distortion_model and D, or model and coeffs"
-        raise InputError(f"{path}: its lens or its image size is not readable; {cure}") from error
+        raise InputError(f"{name}: its lens or its image size is not readable; {cure}") from error
+
+
+def tells_of_camera(data: Any) -> bool:
+    """Whether a table holds intrinsics, right or wrong."""
+    data = _inner(data)
+    return isinstance(data, dict) and any(key in data for key in ("intrinsic_matrix", "K", "k", "camera_matrix", "fx"))
+
+
+def _inner(data: Any) -> Any:
+    """Where a table keeps them under a name of their own: ``intrinsic`` (Open3D's PinholeCameraParameters), ``camera``
+    (views of ``omad render``), ``intrinsics``."""
+    found = (
+        [data[key] for key in ("intrinsic", "camera", "intrinsics") if key in data] if isinstance(data, dict) else []
+    )
+    return next((each for each in found if isinstance(each, dict)), data)
+
+
+def read_table(path: Path) -> Any:
+    """What a JSON or YAML file of a camera holds. Raises InputError."""
+    return _read(path, "K")
 
 
 def read_intrinsics(source: str | Path) -> np.ndarray:
@@ -136,7 +161,7 @@ class _PlainYaml(yaml.SafeLoader):
         return super().compose_node(parent, index)
 
 
-def _find_intrinsics(data: Any, path: Path) -> np.ndarray:
+def _find_intrinsics(data: Any, name: str | Path) -> np.ndarray:
     """Row-major K or (fx, fy, cx, cy) out of the formats that people have."""
     try:
         if "intrinsic_matrix" in data:  # Open3D writes matrices column by column
@@ -148,7 +173,7 @@ def _find_intrinsics(data: Any, path: Path) -> np.ndarray:
         return np.array([data[key] for key in ("fx", "fy", *centre)], dtype=np.float64)
     except WRONG as error:
         known = "intrinsic_matrix (Open3D), fx, fy, ppx, ppy (librealsense) or K (ROS CameraInfo)"
-        raise InputError(f"{path}: holds no intrinsics; expected {known}") from error
+        raise InputError(f"{name}: holds no intrinsics; expected {known}") from error
 
 
 def _find_distortion(data: dict[str, Any]) -> Distortion | None:

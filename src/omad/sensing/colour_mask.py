@@ -1,5 +1,5 @@
-"""A mask drawn in a colour image, looked up for raw depth: two cameras side by side, with lenses of their own. Depth is
-never warped: each of its points is projected into the colour image, and asks there."""
+"""A colour image and a mask drawn in it, looked up for raw depth: two cameras side by side, with lenses of their own.
+Depth is never warped: each of its points is projected into the colour image, and asks there."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -36,6 +36,22 @@ class ColourCamera:
         points = camera.backproject(np.argwhere(chosen)[:, ::-1], depth[chosen])
         chosen[chosen] = self._inside(points, self._region(mask, box), CELL / camera.fx)
         return chosen
+
+    def seen_from_depth(self, depth: np.ndarray, camera: Camera, color: np.ndarray) -> np.ndarray:
+        """(H, W, 3) of ``depth``'s pixels what the colour image shows where their points lie; black where it shows none
+        of them, or there is no depth. Raises InputError where the image is of another size than its intrinsics."""
+        height, width = color.shape[:2]
+        if self.camera.size not in (None, (width, height)):
+            told = "x".join(map(str, self.camera.size)) + "; give those of the colour image"
+            raise InputError(f"--color is {width}x{height}, but --color-intrinsics are for {told}")
+        measured = depth > 0
+        points = carry(self.T_color_depth, camera.backproject(np.argwhere(measured)[:, ::-1], depth[measured]))
+        places = Camera.from_K(self.camera.K, width, height, self.camera.distortion).project(points)
+        column, row = np.clip(np.nan_to_num(np.rint(places), nan=-1), -1, (width, height)).astype(int).T
+        shown = np.zeros((*depth.shape, 3), color.dtype)
+        colours = color if color.ndim == 3 else np.repeat(color[..., None], 3, 2)
+        shown[measured] = np.pad(colours[..., :3], ((1, 1), (1, 1), (0, 0)))[row + 1, column + 1]
+        return shown
 
     def _region(self, mask: np.ndarray | None, box: Sequence[float] | None) -> np.ndarray:
         """(H, W) bool of the colour image."""

@@ -6,14 +6,16 @@ from pathlib import Path
 import numpy as np
 
 from omad.common.errors import InputError
-from omad.common.incoming import existing, read_arrays, read_bytes, read_image, read_json, readable
+from omad.common.incoming import array_shapes, existing, read_arrays, read_bytes, read_image, read_json, readable
 from omad.common.limits import check_limit
 
 from .masks import as_mask
 
 ARRAY_FORMATS = (".npy", ".npz")
 DEPTH_FORMATS = (".png", ".tif", ".tiff", *ARRAY_FORMATS)
-MASK_FORMATS = (*DEPTH_FORMATS, ".json")
+COLOR_FORMATS = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", *ARRAY_FORMATS)
+MASK_FORMATS = (*COLOR_FORMATS, ".json")
+LOSSY = (".jpg", ".jpeg")
 CLOUD_FORMATS = (".ply", ".pcd", ".xyz", ".txt", *ARRAY_FORMATS)
 MILLIMETRES = 1e-3
 """Metres per stored integer of a depth image that does not say otherwise."""
@@ -62,6 +64,8 @@ def read_mask(path: str | Path, mask_id: int | None = None) -> np.ndarray:
         stored = read_array(path, "mask")
     else:
         stored = read_image(path, path, "RGBA" if mask_id is None else None)
+        if path.suffix.lower() in LOSSY:
+            stored = _without_loss(stored, path, mask_id)
     try:
         with readable(path, "a mask"):
             if isinstance(stored, np.ndarray):
@@ -71,22 +75,34 @@ def read_mask(path: str | Path, mask_id: int | None = None) -> np.ndarray:
         raise InputError(str(error) if str(path) in str(error) else f"{path}: {error}") from error
 
 
+def _without_loss(stored: np.ndarray, path: Path, mask_id: int | None) -> np.ndarray:
+    """Of a mask in a JPEG: black and white are no longer quite that along its edge. Raises InputError for ids."""
+    if mask_id is not None:
+        raise InputError(f"{path}: a JPEG does not keep ids; store label images as PNG, or leave --mask-id out")
+    grey = stored if stored.ndim == 2 else stored[..., :3].max(-1)
+    return grey >= max(int(grey.max(initial=0)) // 2, 1)
+
+
+def read_color(path: str | Path) -> np.ndarray:
+    """Colour image (H, W, 3), or (H, W) of a grey one, of an image file or an array. Raises InputError."""
+    path = _existing(path, COLOR_FORMATS, "colour image")
+    return read_array(path, "color") if path.suffix.lower() in ARRAY_FORMATS else read_image(path, path, "RGB")
+
+
 def is_cloud(path: str | Path) -> bool:
     """Whether a file holds points rather than a depth image, by its extension; NPY and NPZ by what is in them."""
     suffix = Path(path).suffix.lower()
     if suffix not in ARRAY_FORMATS:
         return suffix in CLOUD_FORMATS
     try:
-        loaded = np.load(path, mmap_mode="r", allow_pickle=False)
-        if not isinstance(loaded, np.ndarray):
-            with loaded:
-                if "points" in loaded.files or "depth" in loaded.files:
-                    return "points" in loaded.files
-                loaded = loaded[loaded.files[0]]
-    except Exception:  # whoever reads it next says what is wrong
+        shapes = array_shapes(Path(path))
+        if "points" in shapes or "depth" in shapes:
+            return "points" in shapes
+        shape = next(iter(shapes.values()))
+    except (InputError, StopIteration):  # whoever reads it next says what is wrong
         return suffix == ".npz"
-    columns = loaded.shape[-1] if loaded.ndim else 0
-    return columns == 3 if loaded.ndim == 3 else 3 <= columns < 10  # no depth image is so narrow
+    columns = shape[-1] if shape else 0
+    return columns == 3 if len(shape) == 3 else 3 <= columns < 10  # no depth image is so narrow
 
 
 def read_cloud(path: str | Path) -> np.ndarray:

@@ -33,8 +33,12 @@ class FrameOptions:
     distortion: str | None = None
     """The depth camera's lens in place of what the file of --intrinsics tells: k1,k2,p1,p2,k3 as OpenCV orders them,
     equidistant:k1,k2,k3,k4, or none for images that are undistorted already."""
+    color: Path | None = None
+    """Colour image, or a folder with one for each input, of the same name: shown under what is drawn. It lies on the
+    depth image, or is that of --color-intrinsics. x.color.png beside x.png is found without."""
     color_intrinsics: str | None = None
-    """As --intrinsics, of the colour camera: --mask and --box then belong to its image, and depth stays unaligned."""
+    """As --intrinsics, of the colour camera: --color, --mask and --box then belong to its image, and depth stays
+    unaligned."""
     color_extrinsics: Path | None = None
     """T_color_depth, depth camera to colour camera in metres: 4x4 text or NPY, or JSON with rotation and translation
     as librealsense writes them."""

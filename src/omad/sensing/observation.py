@@ -7,11 +7,14 @@ from typing import Any, Literal, Self
 
 import numpy as np
 
-from omad.common.arrays import as_numpy
-from omad.common.errors import InputError, NothingSeen
+from omad.common.arrays import as_numpy, numbers
+from omad.common.errors import InputError, NothingSeen, shown
 from omad.geometry.camera import Camera
 from omad.geometry.lens import Distortion
+from omad.geometry.transforms import MIRROR_X
 
+from .foreign.cameras import camera_from
+from .foreign.images import depth_from, image_from, points_from
 from .masks import as_mask
 
 MIN_POINTS = 50
@@ -27,6 +30,10 @@ NEIGHBOURS = 8
 WHOLE, SPECK = 0.95, 0.0005
 """Shares of the image above and below which a mask is doubtful."""
 
+OFF_CENTRE = 0.12
+"""Of the image's side, by how much a principal point may be off its middle; of cameras it is by a few per cent, but an
+image may have been cropped."""
+
 Segmentation = Literal["plane"]
 
 
@@ -39,27 +46,37 @@ class Observation:
     depth: np.ndarray | None = None
     """(H, W) float32 metres of the whole frame, 0 = no measurement; None for a bare cloud."""
     camera: Camera | None = None
+    """Of ``depth``, without a lens; None for a bare cloud."""
     pixels: np.ndarray | None = None
     """(N, 2) int column and row of each point."""
     mask: np.ndarray | None = None
     """(H, W) bool, the pixels that became points."""
     warnings: tuple[str, ...] = ()
     """What a person should know before trusting the result."""
+    color: np.ndarray | None = None
+    """(H, W, 3) uint8, what a colour camera saw at the pixels of ``depth``: for pictures."""
+
+    def __repr__(self) -> str:
+        image = "" if self.camera is None else f" of a {self.camera.width}x{self.camera.height} image"
+        near, far = self.depth_range
+        return f"<Observation: {len(self.points)} points{image}, {near:.2f} to {far:.2f} m away>"
 
     @classmethod
     def from_depth(
         cls,
         depth_m: Any,
-        K: Any,
+        K: Any = None,
         mask: Any = None,
         box: Sequence[float] | None = None,
         segment: Segmentation | None = None,
         drop_flying: bool = False,
         distortion: Distortion | None = None,
         mask_id: int | None = None,
+        color: Any = None,
     ) -> Self:
         """Back-project a depth image (H, W) of floats in metres; 0, negative, NaN and infinite mean no measurement.
-        NumPy arrays and torch tensors of any device are taken alike.
+        NumPy arrays and torch tensors of any device are taken alike, and so are ROS's Image and CompressedImage,
+        Open3D's Image and RGBDImage, and librealsense's depth_frame, which brings its intrinsics along.
 
         Which pixels are the object's: ``mask``, whatever ``as_mask`` takes, of a label image those with ``mask_id``;
         thin parts that a mask lost, as it is too narrow, are given back to it (``thin_parts``);
@@ -69,15 +86,21 @@ class Observation:
         small patches that hang apart from the object.
 
         Where more than ``MOST_POINTS`` pixels count, points are made of every second row and column, or third ...
-        ``K``: (3, 3) matrix, (fx, fy, cx, cy) in pixels, or a ``Camera``; ``distortion``: the lens, where the image was
-        not undistorted. Points then lie on the pixels' true rays, and ``depth``, ``mask`` and ``pixels`` are those of
-        the undistorted image, into which points project with K alone. Raises InputError for input that cannot be right,
-        and for fewer than 50 points."""
-        depth = _check_depth(depth_m)
-        camera = _check_camera(K, depth.shape)
+        ``K``: (3, 3) matrix, (fx, fy, cx, cy) in pixels, a ``Camera``, the file of one, or a camera of another package:
+        librealsense's intrinsics, Open3D's PinholeCameraIntrinsic, ROS's CameraInfo, with their lenses; ``distortion``:
+        the lens, where the image was not undistorted and ``K`` does not tell. ``color`` (H, W, 3): what a colour camera
+        saw at the depth image's pixels; it serves pictures alone. Points then lie on the pixels' true rays, and
+        ``depth``, ``mask`` and ``pixels`` are those of the undistorted image, into which points project with K alone.
+        Raises InputError for input that cannot be right, and for fewer than 50 points."""
+        brought = depth_from(depth_m)
+        depth = _check_depth(brought.depth)
+        camera = _check_camera(brought.camera if K is None else K, depth.shape)
+        color = _check_color(brought.color if color is None else color, depth.shape)
+        if not isinstance(distortion, Distortion | None):
+            raise InputError(f"distortion: is {type(distortion).__name__}; give an omad.geometry.lens.Distortion")
         camera = camera if distortion is None else replace(camera, distortion=distortion)
         measured = depth > 0
-        mask = None if mask is None else as_mask(mask, mask_id)
+        mask = None if mask is None else as_mask(image_from(mask), mask_id)
         if mask is not None and mask.any() and not mask.all():
             from .thin_parts import with_thin_parts  # imports Numba, which takes long
 
@@ -110,10 +133,11 @@ class Observation:
                 blocks = chosen[::every, ::every].repeat(every, 0).repeat(every, 1)
                 chosen = blocks[: depth.shape[0], : depth.shape[1]] & measured
         if camera.distortion is not None:
+            color = None if color is None else np.stack([camera.rectified(color[..., i]) for i in range(3)], -1)
             depth, chosen, camera = camera.rectified(depth), camera.rectified(chosen), camera.pinhole
             pixels = np.rint(camera.project(points)).astype(int)
         warnings = _doubts(camera) + _odd_mask(mask) + warnings
-        seen = cls(points.astype(np.float32), depth, camera, pixels, chosen, warnings)
+        seen = cls(points.astype(np.float32), depth, camera, pixels, chosen, warnings, color)
         return seen.without_strays() if drop_flying else seen
 
     def part(self, index: np.ndarray) -> Self:
@@ -135,6 +159,21 @@ class Observation:
         if self.depth is None or self.pixels is None:
             raise InputError("box: needs a depth image; a bare cloud has no pixels")
         return region_of(self.depth.shape, None, box)[tuple(self.pixels.T[::-1])]
+
+    def mirrored(self) -> Self:
+        """What the camera would see in a mirror in its plane x = 0."""
+        points = self.points * np.array(MIRROR_X, dtype=self.points.dtype)
+        if self.depth is None or self.camera is None or self.pixels is None:
+            return replace(self, points=points)
+        width = self.camera.width
+        return replace(
+            self,
+            points=points,
+            depth=np.ascontiguousarray(self.depth[:, ::-1]),
+            camera=replace(self.camera, cx=width - 1 - self.camera.cx),
+            pixels=np.array([width - 1, 0]) + self.pixels * [-1, 1],
+            mask=None if self.mask is None else np.ascontiguousarray(self.mask[:, ::-1]),
+        )
 
     def warned(self, *warnings: str) -> Self:
         """The same with more to know before trusting the result."""
@@ -158,10 +197,11 @@ class Observation:
 
     @classmethod
     def from_points(cls, points: Any, segment: Segmentation | None = None, drop_flying: bool = False) -> Self:
-        """A cloud (N, 3) in metres, camera frame; rows that are not finite or all zero mean no measurement. Of more
+        """A cloud (N, 3) in metres, camera frame, or one of another package: ROS's PointCloud2, Open3D's PointCloud,
+        librealsense's points. Rows that are not finite or all zero mean no measurement. Of more
         than ``MOST_POINTS`` rows every second counts, or third ... Raises InputError for a wrong shape, millimetres,
         and for fewer than 50 points."""
-        cloud = _numbers(points, "points").astype(np.float64)
+        cloud = _numbers(points_from(points), "points").astype(np.float64)
         if cloud.ndim != 2 or cloud.shape[1] != 3:
             raise InputError(f"points: expected shape (N, 3), got {cloud.shape}")
         cloud = cloud[np.isfinite(cloud).all(1) & cloud.any(1)]
@@ -226,9 +266,15 @@ def _check_camera(K: Any, shape: tuple[int, ...]) -> Camera:
     if isinstance(K, Camera):
         if (K.height, K.width) != (height, width):
             raise InputError(f"depth: is {width}x{height} but its camera {K.width}x{K.height}; use the image's own")
+        numbers([K.fx, K.fy, K.cx, K.cy], 4, what="intrinsics")
         return K
     if K is None:
         raise InputError("intrinsics: none given; pass K as a 3x3 matrix or (fx, fy, cx, cy) in pixels")
+    if (told := camera_from(K)) is not None:
+        if told.size not in (None, (width, height)):
+            size = "x".join(map(str, told.size))
+            raise InputError(f"depth: is {width}x{height} but its camera {size}; use the image's own")
+        return Camera.from_K(told.K, width, height, told.distortion)
     values = _numbers(K, "intrinsics").astype(np.float64)
     values = Camera(width, height, *values).K if values.shape == (4,) else values
     if values.shape != (3, 3):
@@ -236,6 +282,23 @@ def _check_camera(K: Any, shape: tuple[int, ...]) -> Camera:
     if not (np.abs(values) < 1e7).all() or values[0, 0] <= 0 or values[1, 1] <= 0:
         raise InputError(f"intrinsics: focal lengths {values[0, 0]}, {values[1, 1]} must be positive pixels")
     return Camera.from_K(values, width, height)
+
+
+def _check_color(color: Any, shape: tuple[int, ...]) -> np.ndarray | None:
+    """(H, W, 3) uint8."""
+    if color is None:
+        return None
+    image = _numbers(image_from(color), "color")
+    if image.shape[:2] != shape:
+        cure = "give one that is aligned to depth, or on the command line --color-intrinsics and --color-extrinsics"
+        raise InputError(f"color: is {image.shape[1::-1]} where the depth image is {shape[::-1]}; {cure}")
+    if image.ndim == 2 or image.shape[2] == 1:
+        image = np.repeat(image.reshape(*shape, 1), 3, 2)
+    if image.ndim != 3 or image.shape[2] not in (3, 4):
+        raise InputError(f"color: expected shape (H, W, 3), got {image.shape}")
+    if image.dtype.kind == "f":
+        image = 255 * np.clip(np.nan_to_num(image), 0, 1)
+    return np.clip(image[..., :3], 0, 255).astype(np.uint8)
 
 
 def region_of(shape: tuple[int, ...], mask: np.ndarray | None, box: Sequence[float] | None) -> np.ndarray:
@@ -247,13 +310,7 @@ def region_of(shape: tuple[int, ...], mask: np.ndarray | None, box: Sequence[flo
             raise InputError(f"mask: shape {mask.shape} differs from the depth image's {shape}; resize it to that")
         region &= mask
     if box is not None:
-        try:
-            corners = np.asarray(box, dtype=np.float64).ravel()
-        except (TypeError, ValueError):
-            corners = np.zeros(0)
-        if corners.shape != (4,) or not (np.abs(corners) < 1e9).all():
-            raise InputError(f"box: expected x1, y1, x2, y2 in pixels, got {box}")
-        x1, y1, x2, y2 = np.rint(corners).astype(int)
+        x1, y1, x2, y2 = np.rint(numbers(box, 4, what="box: x1, y1, x2, y2 in pixels")).astype(int)
         if x1 >= x2 or y1 >= y2:
             raise InputError(f"box: x1 < x2 and y1 < y2 are needed, got {x1},{y1},{x2},{y2}")
         if x1 >= width or y1 >= height or x2 <= 0 or y2 <= 0:
@@ -270,14 +327,16 @@ def _select(
     """Indices of the object's points, and warnings; ``inside`` (N,) bool is where a segment may lie."""
     kept, warnings = np.arange(len(points)), ()
     if segment is not None:
-        from .segmentation import RIVAL, segment_on_plane  # imports SciPy, which takes long
+        from .cutting.angles import angle_doubts
+        from .cutting.segmentation import RIVAL, segment_on_plane  # imports SciPy, which takes long
 
-        if segment != "plane":
-            raise InputError(f"segment: unknown way {segment!r}; use 'plane', or give a mask or a box")
+        if not isinstance(segment, str) or segment != "plane":
+            raise InputError(f"segment: unknown way {shown(repr(segment))}; use 'plane', or give a mask or a box")
         found = segment_on_plane(points, inside)
         kept = np.nonzero(found.selected)[0]
         if not len(found.planes):
             warnings += ("no table, floor or wall was found; the largest connected thing was taken",)
+        warnings += angle_doubts(found.planes)
         if found.rival > RIVAL:
             warnings += ("another thing of similar size stands beside the one chosen; give a box or a mask",)
     if len(kept) < MIN_POINTS:
@@ -309,7 +368,10 @@ def _odd_mask(mask: np.ndarray | None) -> tuple[str, ...]:
 def _doubts(camera: Camera) -> tuple[str, ...]:
     """Intrinsics of another image size are the commonest mistake that nothing else shows."""
     sides = ((camera.cx, camera.width), (camera.cy, camera.height))
-    if max(abs(centre / max(side - 1, 1) - 0.5) for centre, side in sides) <= 0.25 or min(s for _, s in sides) == 1:
+    if (
+        max(abs(centre / max(side - 1, 1) - 0.5) for centre, side in sides) <= OFF_CENTRE
+        or min(s for _, s in sides) == 1
+    ):
         return ()
     image = f"{camera.width}x{camera.height} image: are the intrinsics those of this image?"
     return (f"principal point ({camera.cx:.0f}, {camera.cy:.0f}) is far from the middle of the {image}",)

@@ -1,26 +1,41 @@
 """Depth images and clouds given to a command, with the options that say how to read them."""
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, Self
 
 import numpy as np
 
-from omad.common.errors import InputError
+from omad.common.errors import InputError, named
 from omad.geometry.camera import Camera
 
+from .beside import Beside, is_companion
 from .camera_files import CameraFile, parse_distortion, read_camera, read_transform
 from .colour_mask import ColourCamera
-from .depth_files import CLOUD_FORMATS, DEPTH_FORMATS, MASK_FORMATS, is_cloud, read_cloud, read_depth, read_mask
+from .depth_files import (
+    ARRAY_FORMATS,
+    CLOUD_FORMATS,
+    COLOR_FORMATS,
+    DEPTH_FORMATS,
+    MASK_FORMATS,
+    MILLIMETRES,
+    is_cloud,
+    read_cloud,
+    read_color,
+    read_depth,
+    read_mask,
+)
 from .input_options import FrameOptions, InputOptions
 from .observation import Observation
 
 KNOWN = sorted({*DEPTH_FORMATS, *CLOUD_FORMATS} - {".txt"})
 """Extensions of inputs in a folder, where a text file is no cloud but a note."""
-NEED_INTRINSICS = "a depth image needs --intrinsics fx,fy,cx,cy or a file with them"
+NEED_INTRINSICS = "a depth image needs --intrinsics fx,fy,cx,cy or a file with them (camera.json beside it is read)"
+APART = 0.01
+"""Share by which a scale or a focal length given differs from the one that a file beside the image tells."""
 NO_FRAME = FrameOptions()
 Find = Callable[[Observation, Sequence[float] | None], Observation]
 """Of a whole frame the object, within a box where one is given."""
@@ -31,7 +46,7 @@ class InputReader:
     """Reads inputs as a command's options say."""
 
     camera: CameraFile | None
-    """Of the depth images; with the lens that is undone."""
+    """Of the depth images; without, what lies beside each says it."""
     mask: np.ndarray | Path | None
     """Of every input, or the folder of theirs."""
     box: list[float] | None
@@ -42,6 +57,10 @@ class InputReader:
     """The camera that mask and box are drawn in the image of, where that is not the depth image."""
     mask_id: int | None = None
     """The object's number in masks that are label images."""
+    color: np.ndarray | Path | None = None
+    """What a colour camera saw, of every input, or the folder of theirs; for pictures."""
+    distortion: str | None = None
+    """The lens in place of the camera's own, as ``parse_distortion`` takes it."""
     find: Find | None = None
     """Cuts the object out of whole frames where nothing else says which it is but a box."""
 
@@ -49,27 +68,26 @@ class InputReader:
     def of(cls, options: InputOptions, files: list[Path], frame: FrameOptions = NO_FRAME) -> Self:
         """Read what holds for all inputs. Raises InputError where that is wrong whatever the input, and where all of
         ``files`` need intrinsics and there are none."""
-        if options.intrinsics is None and files and not any(is_cloud(file) for file in files):
+        if options.intrinsics is None and files and not any(is_cloud(file) or _known(file) for file in files):
             _existing(files[0])
             raise InputError(f"{files[0]}: {NEED_INTRINSICS}")
         mask, box = options.mask, options.box
         camera = None if options.intrinsics is None else read_camera(options.intrinsics)
-        if frame.distortion is not None and camera is not None:
-            camera = replace(camera, distortion=parse_distortion(frame.distortion))
+        if frame.distortion is not None:
+            parse_distortion(frame.distortion)
         masks = mask if mask is None or mask.is_dir() else read_mask(mask, options.mask_id)
         corners = None if box is None else parse_numbers(box, 4, "--box")
-        colour = _colour_camera(frame, mask is not None or box is not None)
-        return cls(
-            camera, masks, corners, options.segment, options.depth_scale, frame.drop_flying, colour, options.mask_id
-        )
+        colour = _colour_camera(frame, mask is not None or box is not None or frame.color is not None)
+        seen = None if frame.color is None else frame.color if frame.color.is_dir() else read_color(frame.color)
+        region = {"mask": masks, "box": corners, "segment": options.segment, "mask_id": options.mask_id}
+        lens = {"colour": colour, "distortion": frame.distortion, "color": seen}
+        return cls(camera, **region, depth_scale=options.depth_scale, drop_flying=frame.drop_flying, **lens)
 
     def __call__(self, file: Path) -> Observation:
         """One input. Raises InputError with its name."""
         _existing(file)
-        try:
+        with named(file):
             return self._cloud(file) if is_cloud(file) else self._depth(file)
-        except InputError as error:
-            raise type(error)(str(error) if str(file) in str(error) else f"{file}: {error}") from error
 
     def _cloud(self, file: Path) -> Observation:
         if self.mask is not None or self.box is not None:
@@ -77,14 +95,47 @@ class InputReader:
         return Observation.from_points(read_cloud(file) * (self.depth_scale or 1.0), self.segment, self.drop_flying)
 
     def _depth(self, file: Path) -> Observation:
-        mask = self.mask
+        mask, beside = self.mask, Beside.of(file)
         if isinstance(mask, Path):
-            mask = read_mask(_mask_of(file, mask), self.mask_id)
-        return self.observe(read_depth(file, self.depth_scale), mask)
+            mask = read_mask(_of_its_name(file, mask, "mask", MASK_FORMATS), self.mask_id)
+        elif mask is None and self.box is None and self.segment is None and beside.mask is not None:
+            mask = read_mask(beside.mask)
+        depth = read_depth(file, self._given_or_told(file, beside))
+        color = self.color if self.color is not None else beside.color
+        if isinstance(color, Path):
+            color = read_color(_of_its_name(file, color, "colour image", COLOR_FORMATS) if color.is_dir() else color)
+        seen = self.observe(depth, mask, self.camera or beside.camera, color)
+        return seen.warned(*self._contradicted(file, beside))
 
-    def observe(self, depth: np.ndarray, mask: np.ndarray | None, camera: CameraFile | None = None) -> Observation:
-        """A depth image (H, W) in metres that was read already, with its mask; ``camera``: its own, in place of that of
-        all. Raises InputError."""
+    def metres_per_number(self, file: Path) -> float | None:
+        """Of a depth image or cloud, where that can be told without its numbers."""
+        if is_cloud(file):
+            return self.depth_scale or 1.0
+        usual = MILLIMETRES if file.suffix.lower() == ".png" else None
+        return self._given_or_told(file, Beside.of(file)) or usual
+
+    def _given_or_told(self, file: Path, beside: Beside) -> float | None:
+        integers = file.suffix.lower() not in ARRAY_FORMATS
+        return beside.depth_scale if self.depth_scale is None and integers else self.depth_scale
+
+    def _contradicted(self, file: Path, beside: Beside) -> Iterator[str]:
+        """Where the options say other than what lies beside the image."""
+        pairs = [("--depth-scale", self.depth_scale, beside.depth_scale)]
+        if self.camera is not None and beside.camera is not None:
+            pairs.append(("the focal length of --intrinsics", self.camera.K[0, 0], beside.camera.K[0, 0]))
+        for what, given, told in pairs:
+            if given is not None and told is not None and abs(given / told - 1) > APART:
+                yield f"{what} is {given:g}, but {beside.told_by} tells {told:g}: leave it out to use that"
+
+    def observe(
+        self,
+        depth: np.ndarray,
+        mask: np.ndarray | None,
+        camera: CameraFile | None = None,
+        color: np.ndarray | None = None,
+    ) -> Observation:
+        """A depth image (H, W) in metres that was read already, with its mask and colours; ``camera``: its own, in
+        place of that of all. Raises InputError."""
         camera, box = camera or self.camera, self.box
         if camera is None:
             raise InputError(NEED_INTRINSICS)
@@ -92,24 +143,32 @@ class InputReader:
         if camera.size not in (None, (width, height)):
             told = "x".join(map(str, camera.size)) + "; give those of the depth stream at this size"
             raise InputError(f"is {width}x{height}, but its --intrinsics are for {told}")
-        whole = Camera.from_K(camera.K, width, height, camera.distortion)
+        lens = camera.distortion if self.distortion is None else parse_distortion(self.distortion)
+        whole = Camera.from_K(camera.K, width, height, lens)
         if self.colour is not None:
-            mask, box = self.colour.depth_mask(depth, whole, mask, box), None
+            color = None if color is None else self.colour.seen_from_depth(depth, whole, color)
+            if mask is not None or box is not None:
+                mask, box = self.colour.depth_mask(depth, whole, mask, box), None
         if self.find is None or mask is not None or self.segment is not None:
-            return Observation.from_depth(depth, whole, mask, box, self.segment, self.drop_flying)
-        seen = self.find(Observation.from_depth(depth, whole), box)
+            return Observation.from_depth(depth, whole, mask, box, self.segment, self.drop_flying, color=color)
+        seen = self.find(Observation.from_depth(depth, whole, color=color), box)
         return seen.without_strays() if self.drop_flying else seen
 
 
-def _mask_of(file: Path, folder: Path) -> Path:
+def _known(file: Path) -> bool:
+    """Whether a depth image's camera is told beside it."""
+    return file.is_file() and Beside.of(file).camera is not None
+
+
+def _of_its_name(file: Path, folder: Path, what: str, formats: Sequence[str]) -> Path:
     """That with the input's name, whatever its extension."""
-    for suffix in MASK_FORMATS:  # quicker than to list the folder, where it holds a million
-        if (mask := folder / (file.stem + suffix)).is_file():
-            return mask
-    masks = sorted(each for each in folder.iterdir() if each.stem == file.stem)
-    if not masks:
-        raise InputError(f"{folder}: no mask for {file} in it; name masks like the inputs")
-    return masks[0]
+    for suffix in formats:  # quicker than to list the folder, where it holds a million
+        if (found := folder / (file.stem + suffix)).is_file():
+            return found
+    named = sorted(each for each in folder.iterdir() if each.stem == file.stem)
+    if not named:
+        raise InputError(f"{folder}: no {what} for {file} in it; name them like the inputs")
+    return named[0]
 
 
 def _colour_camera(frame: FrameOptions, region: bool) -> ColourCamera | None:
@@ -119,7 +178,7 @@ def _colour_camera(frame: FrameOptions, region: bool) -> ColourCamera | None:
     if intrinsics is None or extrinsics is None:
         raise InputError("--color-intrinsics and --color-extrinsics: give both, or neither for depth aligned to colour")
     if not region:
-        raise InputError("--color-intrinsics: serves a --mask or --box drawn in the colour image; give one of them")
+        raise InputError("--color-intrinsics: serves a --color, --mask or --box of the colour image; give one of them")
     return ColourCamera(read_camera(intrinsics), read_transform(extrinsics, "T_color_depth"))
 
 
@@ -137,8 +196,10 @@ def input_files(paths: Sequence[Path]) -> list[Path]:
 
 
 def files_in(folder: Path, pattern: str = "[!.]*") -> list[Path]:
-    """Depth images and clouds in a folder; ``**/[!.]*``: in its sub-folders, too."""
-    return sorted(path for path in folder.glob(pattern) if path.suffix.lower() in KNOWN and path.is_file())
+    """Depth images and clouds in a folder, without the masks and labels of ``omad render``; ``**/[!.]*``: in its
+    sub-folders, too."""
+    known = (path for path in folder.glob(pattern) if path.suffix.lower() in KNOWN and not is_companion(path))
+    return sorted(path for path in known if path.is_file())
 
 
 def _existing(file: Path) -> None:

@@ -19,7 +19,7 @@ from tqdm import tqdm
 from omad.common.arrays import digest_of
 from omad.common.errors import InputError, WorkError
 from omad.common.files import make_folder, write_atomic, write_text, writing
-from omad.common.incoming import read_text, readable
+from omad.common.incoming import check_file, read_text, readable
 from omad.common.locks import only_one
 from omad.common.signals import deferred
 from omad.data.surface_bank import SurfaceBank
@@ -60,6 +60,8 @@ class Training:
 
 Terms = dict[str, Tensor]
 """Weighted terms of a loss, by name."""
+CHECKS = 20
+"""How often in a training held-back objects are looked at."""
 N = TypeVar("N", bound=Network)
 M = TypeVar("M", bound=nn.Module)
 
@@ -80,21 +82,28 @@ def train_network(
     folder: Path,
     bank: SurfaceBank,
     made_of: Sequence[nn.Module | None] = (),
+    check: Callable[[N], dict[str, float]] | None = None,
 ) -> N:
     """``train``, where what is trained is the network with all that it depends on: the ``settings``, the ``models`` and
     their surfaces in ``bank``, and the networks that it is ``made_of`` or begins with."""
     config = {"kind": net.kind, "category": asdict(net.category), "settings": asdict(settings)}
     config |= {"objects": [model.name for model in models], "surfaces": digest_of(vars(bank))}
     config["networks"] = [None if one is None else digest_of(one.state_dict()) for one in made_of]
-    return train(net, loss_terms, settings.schedule, folder, config)
+    return train(net, loss_terms, settings.schedule, folder, config, check)
 
 
 def train(
-    model: M, loss_terms: Callable[[M, Generator], Terms], schedule: Schedule, folder: Path, config: dict[str, Any]
+    model: M,
+    loss_terms: Callable[[M, Generator], Terms],
+    schedule: Schedule,
+    folder: Path,
+    config: dict[str, Any],
+    check: Callable[[M], dict[str, float]] | None = None,
 ) -> M:
     """Train ``model`` in place and return its averaged twin.
 
     ``loss_terms`` draws a batch with the generator and returns the weighted terms of the loss; their sum is minimised.
+    ``check`` says now and then how the averaged twin does on what is held back.
 
     ``folder`` receives ``state.pt`` (everything needed to go on, replaced atomically), ``metrics.jsonl`` and
     TensorBoard events. ``config`` says what is trained; a state of another config is refused (InputError), and so is a
@@ -102,11 +111,16 @@ def train(
     """
     make_folder(folder)
     with only_one(folder, "a training"):
-        return _train(model, loss_terms, schedule, folder, config)
+        return _train(model, loss_terms, schedule, folder, config, check)
 
 
 def _train(
-    model: M, loss_terms: Callable[[M, Generator], Terms], schedule: Schedule, folder: Path, config: dict[str, Any]
+    model: M,
+    loss_terms: Callable[[M, Generator], Terms],
+    schedule: Schedule,
+    folder: Path,
+    config: dict[str, Any],
+    check: Callable[[M], dict[str, float]] | None,
 ) -> M:
     device = next(model.parameters()).device
     generator = Generator(device=device).manual_seed(schedule.seed)
@@ -134,6 +148,7 @@ def _train(
         write_atomic(state_path, lambda path: path.write_bytes(kept.getbuffer()))
 
     log = MetricLog(folder, step)
+    checked = int(CHECKS * _progress(step, seconds, schedule))
     saved = time.monotonic()
     began = saved - seconds
     bar = tqdm(total=schedule.steps, initial=step, unit="step", file=sys.stderr, disable=not sys.stderr.isatty())
@@ -156,7 +171,13 @@ def _train(
                 values = {name: term.item() for name, term in terms.items()}
                 if not math.isfinite(sum(values.values())):
                     raise WorkError(f"the loss is not finite at step {step} ({values}); lower the learning rate")
-                log.write(step, seconds, schedule.batch, values, show=bar.disable)
+                progress = _progress(step, seconds, schedule)
+                held_back = {}
+                if check is not None and int(CHECKS * progress) > checked:
+                    checked, held_back = int(CHECKS * progress), check(averaged)
+                left = seconds * max(1 / progress - 1, 0)
+                bar.set_postfix_str(" ".join([f"{left / 60:.0f} min left", *_plain(held_back)]))
+                log.write(step, seconds, left, schedule.batch, values, held_back, show=bar.disable)
             if now - saved > schedule.save_seconds:
                 save()
                 saved = now
@@ -183,19 +204,28 @@ class MetricLog:
             print("tensorboard is not installed: metrics go to metrics.jsonl only", file=sys.stderr)
             self.board = None
 
-    def write(self, step: int, seconds: float, batch: int, values: dict[str, float], show: bool) -> None:
-        row = {"step": step, "seconds": round(seconds, 2), "loss": sum(values.values()), **values}
+    def write(
+        self,
+        step: int,
+        seconds: float,
+        left: float,
+        batch: int,
+        values: dict[str, float],
+        held_back: dict[str, float],
+        show: bool,
+    ) -> None:
+        row = {"step": step, "seconds": round(seconds, 2), "loss": sum(values.values()), **values, **held_back}
         with writing(self.path):
             self.file.write(json.dumps(row) + "\n")
         if self.board:
             with suppress(OSError):  # a picture of what stands in metrics.jsonl
                 for name, value in row.items():
                     self.board.add_scalar(name, value, step)
-        if show and seconds - self.shown > 30:
+        if show and (held_back or seconds - self.shown > 30):
             self.shown = seconds
-            rate = step * batch / max(seconds, 1e-9)
-            terms = " ".join(f"{name} {value:.4f}" for name, value in values.items())
-            print(f"step {step}  {seconds:.0f} s  {rate:.0f} samples/s  {terms}", file=sys.stderr, flush=True)
+            rate, terms = step * batch / max(seconds, 1e-9), " ".join(_plain({**values, **held_back}))
+            time = f"{seconds:.0f} s, {left / 60:.0f} min left"
+            print(f"step {step}  {time}  {rate:.0f} samples/s  {terms}", file=sys.stderr, flush=True)
 
     def close(self) -> None:
         with suppress(OSError):
@@ -203,6 +233,10 @@ class MetricLog:
         if self.board:
             with suppress(OSError):
                 self.board.close()
+
+
+def _plain(values: dict[str, float]) -> list[str]:
+    return [f"{name} {value:.4f}" for name, value in values.items()]
 
 
 def _step_of(line: str) -> float:
@@ -226,6 +260,7 @@ def _identity(config: dict[str, Any], schedule: Schedule) -> str:
 
 def _read_state(path: Path, identity: str) -> dict[str, Any]:
     with readable(path, "a training state of this program", ANOTHER):
+        check_file(path)
         state = torch.load(path, map_location="cpu", weights_only=True)
         found = state["identity"]
     if found != identity:

@@ -1,6 +1,7 @@
 """Training losses, pure functions. B objects, M keypoints, N points, K parts; lengths in category units."""
 
 import math
+from collections.abc import Sequence
 from functools import partial
 
 import torch
@@ -8,36 +9,32 @@ from torch import Tensor
 from torch.nn.functional import cross_entropy, smooth_l1_loss
 
 from omad.geometry.transforms import point_to_line
-from omad.model.priornet import part_extents
+from omad.model.priornet import part_boxes
 
 
-def masked_nearest(a: Tensor, b: Tensor, allowed: Tensor) -> Tensor:
-    """Distance of each point of ``a`` (B, P, 3) to its nearest allowed point of ``b`` (B, Q, 3) -> (B, P). ``allowed``
-    broadcasts to (B, P, Q); a point with no allowed partner gets 0."""
+def nearest(a: Tensor, b: Tensor) -> Tensor:
+    """Distance of each point of ``a`` (B, P, 3) to its nearest point of ``b`` (B, Q, 3) -> (B, P)."""
     with torch.no_grad():  # the search is a matrix product; the distance itself is exact and differentiable
-        squared = b.square().sum(-1)[:, None] - 2 * a @ b.mT
-        index = squared.masked_fill_(~allowed, torch.inf).argmin(-1)
-        found = allowed.expand(squared.shape).gather(-1, index[..., None]).squeeze(-1)
+        index = (b.square().sum(-1)[:, None] - 2 * a @ b.mT).argmin(-1)
     partner = b.gather(1, index[..., None].expand(-1, -1, 3))
-    distance = ((a - partner).square().sum(-1) + 1e-12).sqrt()
-    return torch.where(found, distance, torch.zeros_like(distance))
+    return ((a - partner).square().sum(-1) + 1e-12).sqrt()
 
 
-def part_chamfer(a: Tensor, b: Tensor, part_of: Tensor) -> Tensor:
-    """Symmetric chamfer distance between keypoint sets (B, M, 3) of the same parts ``part_of`` (M,)."""
-    allowed = part_of[:, None] == part_of[None]
-    return masked_nearest(a, b, allowed).mean() + masked_nearest(b, a, allowed).mean()
+def part_chamfer(a: Tensor, b: Tensor, parts: Sequence[slice]) -> Tensor:
+    """Symmetric chamfer distance between keypoint sets (B, M, 3) of the same ``parts``."""
+    there = torch.cat([nearest(a[:, of], b[:, of]) for of in parts], 1)
+    back = torch.cat([nearest(b[:, of], a[:, of]) for of in parts], 1)
+    return there.mean() + back.mean()
 
 
-def surface_loss(keypoints: Tensor, part_of: Tensor, points: Tensor, labels: Tensor) -> Tensor:
-    """Mean distance of keypoints (B, M, 3) to the cloud (B, N, 3) of their own part, one-sided."""
-    return masked_nearest(keypoints, points, part_of[None, :, None] == labels[:, None]).mean()
+def surface_loss(keypoints: Tensor, parts: Sequence[slice], clouds: Sequence[Tensor]) -> Tensor:
+    """Mean distance of keypoints (B, M, 3) of ``parts`` to the cloud (B, n, 3) of their own part, one-sided."""
+    return torch.cat([nearest(keypoints[:, of], cloud) for of, cloud in zip(parts, clouds, strict=True)], 1).mean()
 
 
-def coverage_loss(keypoints: Tensor, part_of: Tensor, low: Tensor, high: Tensor, beta: float = 0.1) -> Tensor:
+def coverage_loss(keypoints: Tensor, parts: Sequence[slice], low: Tensor, high: Tensor, beta: float = 0.1) -> Tensor:
     """Keypoints of a part should span its box (``low``, ``high``: (B, K, 3)); plain and relative form averaged."""
-    parts = torch.arange(low.shape[1], device=part_of.device)
-    low_k, high_k = part_extents(keypoints, part_of[None] == parts[:, None])
+    low_k, high_k = part_boxes([keypoints[:, of] for of in parts])
     size = (high - low).clamp(min=0.02)
     size_k = (high_k - low_k).clamp(min=1e-3)
     off = partial(smooth_l1_loss, beta=beta)

@@ -22,6 +22,7 @@ from omad.model.priornet import PriorNet
 from omad.objects.category import Category
 from omad.objects.model import SampledObject
 
+from .held_back import HeldBack, split
 from .loop import Schedule, Training, seeded_bank, train_network
 from .losses import confidence_loss, joint_loss, quaternion_loss, segmentation_loss, state_loss
 from .refined_error import axis_distance, refined_error, refinement_loss
@@ -153,10 +154,13 @@ def train_net(
     initial: OmadNet | None = None,
     features: OmadNet | None = None,
 ) -> OmadNet:
-    """Train OMADNet on views of ``models``, from ``initial`` weights where given, or with the backbone alone from
-    ``features``, whose prior may be another; returns the averaged network. Raises InputError where the prior of
-    ``initial`` has other keypoints: it would answer in another language."""
-    bank = seeded_bank(models, category, settings.schedule.seed, device)
+    """Train OMADNet on views of ``models``, from ``initial`` weights where given, or with what ``features`` knows of
+    clouds, whose prior and category may be others; returns the averaged network. A few of the objects are held back, if
+    there are many: they tell how it goes, and what share of its own joint states shall be in answers. Raises InputError
+    where the prior of ``initial`` has other keypoints: it would answer in another language."""
+    seen, held = split(models)
+    bank = seeded_bank(seen, category, settings.schedule.seed, device)
+    held_back = HeldBack.of(held, category, settings.views, device) if held else None
     made_of = [priornet, initial, features]
     priornet = priornet.to(device).requires_grad_(False)
     nodes = object_keypoints(priornet, bank)
@@ -168,7 +172,7 @@ def train_net(
         check_same_keypoints(prior, initial.prior)
         net.start_from(initial)
     if features is not None:
-        net.backbone.load_state_dict(features.backbone.state_dict())
+        net.learn_from(features.to(device))
     shape_prior = ShapePrior.of(prior.beta_mean, prior.beta_covariance, RefinementConfig().prior_weight)
 
     def loss_terms(module: OmadNet, draw: torch.Generator) -> dict[str, Tensor]:
@@ -178,7 +182,10 @@ def train_net(
             frames = disturbed_frames(views, settings.second_looks, settings.turned, draw)
         return net_losses(module, views, truth, frames, shape_prior, settings.weights)
 
-    return train_network(net, loss_terms, settings, models, folder, bank, made_of)
+    check = None if held_back is None else held_back.errors
+    averaged = train_network(net, loss_terms, settings, models, folder, bank, made_of, check)
+    averaged.own_states = 0.0 if held_back is None else held_back.best_share(averaged.eval())
+    return averaged
 
 
 def check_same_keypoints(prior: OmadPrior, other: OmadPrior) -> None:

@@ -9,13 +9,15 @@ import torch
 from torch import Tensor, nn
 
 from omad.data.rendering.viewpoints import uniform
-from omad.data.surface_bank import SurfaceBank
+from omad.data.surface_bank import PartSamples, SurfaceBank
+from omad.geometry.transforms import point_to_line
 from omad.model.object_prior import object_keypoints
 from omad.model.prior import OmadPrior
-from omad.model.priornet import PriorNet, part_extents
+from omad.model.priornet import PriorNet, part_boxes
 from omad.objects.category import Category
 from omad.objects.model import SampledObject
 
+from .held_back import split
 from .loop import Schedule, Training, seeded_bank, train_network
 from .losses import coverage_loss, joint_loss, part_chamfer, separation_loss, surface_loss
 
@@ -36,19 +38,18 @@ class PriorLossWeights:
 
 
 def prior_losses(
-    net: PriorNet, points: Tensor, labels: Tensor, axes: Tensor, pivots: Tensor, weights: PriorLossWeights
+    net: PriorNet, clouds: Sequence[Tensor], axes: Tensor, pivots: Tensor, weights: PriorLossWeights
 ) -> dict[str, Tensor]:
-    """Every term of the loss, weighted; their sum is the loss. Shapes as in PriorNet.forward; joints (B, J, 3)."""
-    out, prior, part_of = net(points, labels), net.prior, net.part_of
-    keypoints, joints = prior.keypoints(out.beta), prior.joints(out.beta)
-    parts = torch.arange(len(net.category.parts), device=labels.device)
-    low, high = part_extents(points, labels[:, None] == parts[:, None])
+    """Every term of the loss, weighted; their sum is the loss. ``clouds`` as in PriorNet.forward; joints (B, J, 3)."""
+    out, prior = net(clouds), net.prior
+    parts, keypoints, joints = prior.keypoints_of_part, prior.keypoints(out.beta), prior.joints(out.beta)
+    low, high = part_boxes(clouds)
     terms = {
-        "chamfer": part_chamfer(out.nodes, keypoints, part_of),
+        "chamfer": part_chamfer(out.nodes, keypoints, parts),
         "order": (out.nodes - keypoints).norm(dim=-1).mean(),
-        "coverage": coverage_loss(out.nodes, part_of, low, high),
-        "surface": surface_loss(out.nodes, part_of, points, labels),
-        "separation": separation_loss(out.nodes, part_of, low, high, weights.separation_share),
+        "coverage": coverage_loss(out.nodes, parts, low, high),
+        "surface": surface_loss(out.nodes, parts, clouds),
+        "separation": separation_loss(out.nodes, net.part_of, low, high, weights.separation_share),
         "joint": joint_loss(joints.axes, joints.pivots, axes, pivots, prior.turning),
         "beta": out.beta.square().mean(),
     }
@@ -59,9 +60,9 @@ def prior_losses(
 class PriorTraining(Training):
     """Settings of a prior's training."""
 
-    schedule: Schedule = Schedule(steps=6000, batch=32, learning_rate=2e-3)
-    points: int = 512
-    """Points of a complete cloud."""
+    schedule: Schedule = Schedule(steps=3000, batch=16, learning_rate=3e-3)
+    points: int = 256
+    """Points of a complete cloud, as many of each part."""
     scale: tuple[float, float] = (0.8, 1.2)
     """Range of the random stretch of each canonical axis; joints are carried along."""
     weights: PriorLossWeights = PriorLossWeights()
@@ -76,29 +77,43 @@ def train_prior(
     initial: PriorNet | None = None,
 ) -> PriorNet:
     """Learn basis, joint function and statistics of beta from ``models``, from ``initial`` weights where given, whose
-    keypoints then keep their meaning; returns the averaged network."""
-    bank = seeded_bank(models, category, settings.schedule.seed, device)
+    keypoints then keep their meaning; returns the averaged network. A few objects are held back, if there are many, to
+    tell how it goes."""
+    seen, held = split(models)
+    bank = seeded_bank(seen, category, settings.schedule.seed, device)
+    held_back = SurfaceBank.from_models(held, category, seed=1).to(device) if held else None
     net = PriorNet(category, generator=torch.Generator().manual_seed(settings.schedule.seed)).to(device)
     if initial is not None:
         net.load_state_dict(initial.state_dict())
 
-    def loss_terms(module: PriorNet, draw: torch.Generator) -> dict[str, Tensor]:
-        objects, points, labels = _draw(bank, settings, draw)
-        return prior_losses(module, points, labels, objects.axes, objects.pivots, settings.weights)
+    samples = PartSamples.of(bank, len(category.parts))
 
-    averaged = train_network(net, loss_terms, settings, models, folder, bank, [initial])
+    def loss_terms(module: PriorNet, draw: torch.Generator) -> dict[str, Tensor]:
+        indices = torch.randint(len(bank), (settings.schedule.batch,), device=bank.points.device, generator=draw)
+        scale = uniform(*settings.scale, (len(indices), 3), bank.points, draw)
+        clouds = samples.draw(indices, scale, settings.points // len(category.parts), draw)
+        joints = bank.joints(indices, scale)
+        return prior_losses(module, clouds, joints.axes, joints.pivots, settings.weights)
+
+    def check(module: PriorNet) -> dict[str, float]:
+        return {} if held_back is None else prior_error(module, held_back)
+
+    averaged = train_network(net, loss_terms, settings, models, folder, bank, [initial], check)
     finish_prior(averaged.prior, object_keypoints(averaged, bank), bank, settings.scale)
     return averaged
 
 
-def _draw(bank: SurfaceBank, settings: PriorTraining, generator: torch.Generator) -> tuple[SurfaceBank, Tensor, Tensor]:
-    """Random stretched objects, and a random part of their samples: points (B, n, 3), labels (B, n)."""
-    batch, device = settings.schedule.batch, bank.points.device
-    indices = torch.randint(len(bank), (batch,), device=device, generator=generator)
-    objects = bank.scaled(indices, uniform(*settings.scale, (batch, 3), bank.points, generator))
-    chosen = torch.randint(bank.points.shape[1], (batch, settings.points), device=device, generator=generator)
-    points = objects.points.gather(1, chosen[..., None].expand(-1, -1, 3))
-    return objects, points, objects.labels.gather(1, chosen)
+@torch.no_grad()
+def prior_error(net: PriorNet, bank: SurfaceBank) -> dict[str, float]:
+    """How far from where they are found the basis puts keypoints of the objects in ``bank``, and how far from the true
+    axes pivots are; means, category units."""
+    nodes = object_keypoints(net, bank)
+    prior, beta = net.prior, net.prior.encode(nodes)
+    found = {"held back, keypoints": float((prior.keypoints(beta) - nodes).norm(dim=-1).mean())}
+    if prior.turning.any():
+        off = point_to_line(prior.joints(beta).pivots, bank.axes, bank.pivots)[:, prior.turning]
+        found["held back, pivots"] = float(off.mean())
+    return found
 
 
 def finish_prior(

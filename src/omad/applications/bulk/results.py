@@ -15,7 +15,8 @@ from omad.common.batches import batched
 from omad.common.errors import InputError
 from omad.common.files import make_folder, write_atomic, write_json, writing
 from omad.common.incoming import read_json
-from omad.estimation.estimate import INTERVALS, Estimate, plain
+from omad.estimation.estimate import Estimate, plain
+from omad.estimation.joint_estimate import INTERVALS
 
 from .parquet_images import SUFFIX, import_pyarrow
 from .stream import Outcome

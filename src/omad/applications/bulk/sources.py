@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from omad.common.errors import InputError
-from omad.common.incoming import read_arrays
+from omad.common.incoming import map_array, read_arrays
+from omad.sensing.beside import is_companion
 from omad.sensing.depth_files import in_metres
 from omad.sensing.input_options import FrameOptions, InputOptions
 from omad.sensing.observation import Observation
@@ -80,7 +81,8 @@ class _Group:
 def _listed(folder: Path) -> _Group:
     known = (*KNOWN, SUFFIX)
     with os.scandir(folder) as entries:
-        names = sorted(e.name for e in entries if e.name[0] != "." and e.name.lower().endswith(known) and e.is_file())
+        listed = (e for e in entries if e.name[0] != "." and e.name.lower().endswith(known))
+        names = sorted(e.name for e in listed if not is_companion(Path(e.name)) and e.is_file())
     if not names:
         raise InputError(f"{folder}: no depth image, cloud or Parquet file in it; known: {' '.join(known)}")
     return _Group(folder, names)
@@ -101,10 +103,10 @@ def _stack_in(path: Path, key: str, named: bool = False) -> np.ndarray | None:
             stored = read_arrays(path, "a stack of images")
             found = stored.get(key) if isinstance(stored, dict) else None
         elif path.suffix.lower() == ".npy" and not named:
-            found = np.load(path, mmap_mode="r", allow_pickle=False)
+            found = map_array(path)
         else:
             return None
-    except Exception:  # whoever reads it as a single image says what is wrong
+    except InputError:  # whoever reads it as a single image says what is wrong
         return None
     # (H, W, 3) is an organised cloud, (H, W, 1) one image
     return found if found is not None and found.ndim == 3 and found.shape[-1] not in (1, 3) else None

@@ -14,7 +14,7 @@ from typing import Any, Self, TypeVar
 import torch
 
 from omad.common.batches import batched
-from omad.common.errors import InputError
+from omad.common.errors import InputError, shown
 from omad.common.files import one_line
 from omad.common.runtime import cores
 from omad.estimation.estimate import Estimate
@@ -23,6 +23,8 @@ from omad.sensing.observation import Observation
 
 T = TypeVar("T")
 
+MOST = 1024
+"""Workers, and images that go through the network together."""
 IN_FLIGHT = 3
 """Batches that are read, worked on or waiting to be taken, a worker."""
 
@@ -32,6 +34,7 @@ class Frame:
     """One observation to come: read by the worker that estimates it, so that no other thread waits for that."""
 
     name: str
+    """Of it in the results."""
     load: Callable[[], Observation]
     """Raises InputError where it is bad."""
 
@@ -48,6 +51,7 @@ class Outcome:
     name: str
     """Of a bare observation: its place in the stream, from 0."""
     estimate: Estimate | None
+    """None where it was refused."""
     refused: str | None = None
     """Why there is no estimate, on one line."""
 
@@ -61,9 +65,14 @@ def estimate_stream(
     """Estimates in the order of ``frames``, which may be endless: so many as ``IN_FLIGHT`` batches a worker are taken
     ahead of what the caller has taken. A frame that cannot be read or estimated is told of in its place, and the
     others go on. ``workers`` threads, 0: a core each. While it runs, PyTorch has one thread for each of them."""
+    for name, value, least in (("workers", workers, 0), ("batch", batch, 1)):
+        if not isinstance(value, int) or not least <= value <= MOST:
+            raise InputError(f"{name} {shown(repr(value))}: give a whole number from {least} to {MOST}")
     workers, threads = workers or cores(), torch.get_num_threads()
-    if workers < 1 or batch < 1:
-        raise InputError(f"workers {workers}, batch {batch}: give whole numbers from 1")
+    try:
+        frames = iter(frames)
+    except TypeError as error:
+        raise InputError(f"frames: is {type(frames).__name__}; give observations, or omad.Frame of each") from error
     waiting: deque[Future[list[Outcome]]] = deque()
     torch.set_num_threads(1)
     pool = ThreadPoolExecutor(workers, initializer=torch.set_num_threads, initargs=(1,))

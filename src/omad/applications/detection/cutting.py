@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from omad.common.errors import NothingSeen
+from omad.estimation.checks import USUAL_SIZE, wrong_scale
 from omad.sensing.observation import Observation
 
 from .detector import SURE, Detection, Detector
@@ -32,7 +33,8 @@ class ObjectFinder:
         seen = measured_margin(frame)
         if seen < (TOUCHED if min(ratios) > ODD_SIZE else MEASURED):
             return frame if box is None else frame.part(frame.inside(box))
-        things = self.detector(frame, box)
+        look = self.detector.look(frame, box)
+        things = look.detections
         names = " or ".join(estimator.category.name for estimator in self.detector.estimators)
         where = "before table, floor and walls" if box is None else "in the box before table, floor and walls"
         cure = "give a mask, or a box around the object; omad detect shows what was found"
@@ -41,13 +43,16 @@ class ObjectFinder:
         candidates = sorted((thing for thing in things if thing.evidence), key=_likelihood, reverse=True)
         if not candidates:
             sizes = sorted(float(np.linalg.norm(np.ptp(thing.observation.points, axis=0))) for thing in things)
-            what = f"{len(things)} things of {sizes[0]:.2g} to {sizes[-1]:.2g} m stand {where}"
-            raise NothingSeen(f"no {names}: {what}, none is about as large; check the depth scale, or {cure}")
+            what = f"{len(things)} things of {sizes[0]:.2g} to {sizes[-1]:.2g} m stand {where}, none is about as large"
+            usual = [USUAL_SIZE * estimator.category.metres_per_unit for estimator in self.detector.estimators]
+            scale = wrong_scale(float(np.median(sizes)), float(np.median(usual)))
+            told = f"{scale.why}: {scale.cure}" if scale else "check the depth scale"
+            raise NothingSeen(f"no {names}: {what}; {told}, or {cure}")
         best, likelihood = candidates[0], _likelihood(candidates[0])
         if likelihood < LIKELY and box is None:
             what = f"of {len(things)} things {where} the likeliest is one with {likelihood:.0%}"
             raise NothingSeen(f"no {names}: {what}; {cure}")
-        doubts = []
+        doubts = [*look.doubts]
         if likelihood < SURE:
             doubts.append(f"the thing taken for a {names} is one with {likelihood:.0%} only: look at it; {cure}")
         if others := [one for one in candidates[1:] if _likelihood(one) >= SURE]:

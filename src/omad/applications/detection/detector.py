@@ -13,8 +13,9 @@ from omad.estimation.estimator import Estimator
 from omad.estimation.evidence import measure_evidence
 from omad.geometry.rigid import box as bounds
 from omad.model.checkpoint import shipped_categories
+from omad.sensing.cutting.angles import angle_doubts
+from omad.sensing.cutting.segmentation import things_before_planes
 from omad.sensing.observation import Observation
-from omad.sensing.segmentation import things_before_planes
 from omad.sensing.steadying import steadied
 
 from .judgement import ODD_SIZE, Judgement, against, size_ratio
@@ -86,6 +87,8 @@ class Look:
     """Metres: what rises less over table, floor or wall at the middle distance cannot be told from it by depth."""
     too_flat: tuple[str, ...]
     """Those of the categories whose objects, laid flat, are about so low."""
+    doubts: tuple[str, ...]
+    """Of the camera, by how table, floor and walls stand to each other."""
 
 
 @dataclass(frozen=True)
@@ -93,7 +96,9 @@ class Detector:
     """Looks for objects of the categories whose estimators it has."""
 
     estimators: Sequence[Estimator]
+    """One for each category."""
     judgement: Judgement = field(default_factory=Judgement.fitted)
+    """How likely things are of these categories."""
 
     def __call__(self, frame: Observation, box: Sequence[float] | None = None) -> list[Detection]:
         """All things of a whole ``frame``, objects first and the likeliest of them first; within a ``box``
@@ -107,7 +112,7 @@ class Detector:
         found = things_before_planes(frame.points, LEAST)
         seen = [frame.part(thing) for thing in _of_box(found.clusters, inside)]
         flat = tuple(e.category.name for e in self.estimators if _height(e) < CLEAR * found.lowest)
-        return Look(self._judged(seen, found.planes), found.lowest, flat)
+        return Look(self._judged(seen, found.planes), found.lowest, flat, angle_doubts(found.planes))
 
     def _judged(self, seen: Sequence[Observation], planes: np.ndarray) -> list[Detection]:
         """Each of the things that were ``seen`` before ``planes`` (P, 4)."""

@@ -4,9 +4,12 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import numpy as np
+
 from omad.common.batches import batched, progress
 from omad.common.errors import InputError
 from omad.data.rendering.standard_views import View
+from omad.estimation.estimate import Estimate
 from omad.estimation.estimator import Estimator
 from omad.model.priornet import PriorNet
 from omad.objects.model import ObjectModel
@@ -45,18 +48,25 @@ def from_models(net: PriorNet, models: Sequence[ObjectModel], source: str) -> Ca
 
 def from_observations(estimator: Estimator, seen: Iterable[Seen], fused: bool, batch: int = 32) -> Catalogued:
     """An entry an observation, or with ``fused`` one an object, from all observations that bear its name,
-    with the picture of its first view."""
+    with the picture of its first one."""
     prior, found = prior_fingerprint(estimator.net.prior, estimator.category), Catalogued()
     rows: dict[str, list[int]] = {}
     for some in batched(seen, batch):
         for thing, estimate in zip(some, estimator([thing.observation for thing in some]), strict=True):
             rows.setdefault(thing.name, []).append(len(found.entries))
             found.signatures.append(estimate_signature(estimate, prior))
-            found.entries.append(Entry(thing.name, thing.source, view_thumbnail(thing.observation)))
+            found.entries.append(Entry(thing.name, thing.source, _thumbnail(thing, estimate)))
     if not fused:
         return found
     signatures = [fuse([found.signatures[row] for row in own]) for own in rows.values()]
     return Catalogued(signatures, [found.entries[own[0]] for own in rows.values()])
+
+
+def _thumbnail(thing: Seen, estimate: Estimate) -> bytes:
+    """The estimated object, or where its surface is not known what was seen of it."""
+    if estimate.surfaces is None or not np.isfinite(estimate.keypoints).all():
+        return view_thumbnail(thing.observation)
+    return model_thumbnail(estimate.carried_model())
 
 
 def seen_views(views: Iterable[View], total: int, source: str, refused: list[dict[str, str]]) -> Iterator[Seen]:

@@ -35,6 +35,10 @@ class Entry:
     thumbnail: bytes = b""
     """A small PNG; empty where there is none."""
 
+    def __post_init__(self) -> None:
+        if not (isinstance(self.name, str) and isinstance(self.source, str) and isinstance(self.thumbnail, bytes)):
+            raise InputError("entry: name and source are texts, its thumbnail the bytes of a PNG; give such")
+
 
 @dataclass(frozen=True)
 class Hit:

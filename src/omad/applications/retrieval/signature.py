@@ -8,7 +8,7 @@ from typing import Literal, Self
 import numpy as np
 import torch
 
-from omad.common.arrays import as_doubles
+from omad.common.arrays import as_doubles, numbers
 from omad.common.errors import InputError
 from omad.data.surface_bank import SurfaceBank
 from omad.estimation.estimate import Estimate
@@ -65,10 +65,10 @@ class Space:
             both = f"the signature is of prior {signature.prior}, the index of prior {self.prior} ({self.category})"
             cure = "use the weights that made the index, or build it anew"
             raise InputError(f"{both}: their betas do not compare; {cure}")
-        if signature.beta.shape != (len(self.factor),):
-            raise InputError(f"beta: expected shape ({len(self.factor)},), got {signature.beta.shape}")
-        if not np.isfinite(signature.beta).all():
-            raise InputError("beta: holds numbers that are not finite; estimate the object anew")
+        size = len(self.factor)
+        numbers(signature.beta, size, what="beta")
+        if signature.covariance is not None:
+            numbers(signature.covariance, size, size, what="covariance of beta")
 
 
 def prior_fingerprint(prior: OmadPrior, category: Category) -> str:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from omad.common.errors import InputError, shown
 from omad.common.incoming import existing, read_text
+from omad.sensing.foreign.bags import RecordedFrame
 from omad.sensing.reader import input_files
 
 from .tracker import LATEST
@@ -25,6 +26,8 @@ class FrameFile:
     path: Path
     time: float
     """Seconds since the first frame."""
+    source: RecordedFrame | None = None
+    """Of a recording or a camera; ``path`` is then but its name."""
 
 
 @dataclass

@@ -7,18 +7,22 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from PIL import Image, ImageDraw
 
+from omad.data.rendering.rasteriser import NOTHING, render
 from omad.estimation.estimate import Estimate
 from omad.geometry.camera import Camera
 from omad.objects.category import Category
-from omad.output.picture import axis_segment, part_colours, reading
+from omad.output.frame_image import frame_image
+from omad.output.picture import axis_segment, reading, shaded
 from omad.sensing.observation import Observation
 
 from .tracker import TrackedEstimate
 
 UNSEEN = {"lost": ("0.82", "lost"), "coasting": ("0.93", "predicted")}
 """Shades of grey behind the frames that were not used, and what they are called."""
-WIDTH = 320
+WIDTH = 480
 """Pixels of a film's frames."""
+SOLID = 170
+"""Of 255: how much of a pixel is the drawn surface's."""
 Truth = Sequence[list[float] | None]
 """True joint states of each frame; None where they are not known."""
 
@@ -65,7 +69,7 @@ class Film:
         self.pictures: list[Image.Image] = []
 
     def add(self, observation: Observation | None, tracked: TrackedEstimate) -> None:
-        """A frame's depth with keypoints and joint axes; frames without an image repeat the last background."""
+        """A frame's colours, or its depth, with the object's surface and axes; a frame without an image is dark."""
         if observation is None or observation.depth is None or observation.camera is None:
             if self.pictures:
                 blank = Image.new("RGB", self.pictures[-1].size, (40, 40, 40))
@@ -73,28 +77,30 @@ class Film:
                 self.pictures.append(blank)
             return
         camera, scale = observation.camera, WIDTH / observation.camera.width
-        near, far = observation.depth_range
-        grey = np.where(observation.depth > 0, 1 - (observation.depth - near) / (far - near + 1e-6) * 0.7, 0)
-        image = Image.fromarray((255 * np.clip(grey, 0, 1)).astype(np.uint8))
-        image = image.resize((WIDTH, round(scale * camera.height))).convert("RGB")
-        draw = ImageDraw.Draw(image)
-        draw.text((6, 4), f"{tracked.time:.1f} s  {tracked.status}", fill="white")
+        image = Image.fromarray(frame_image(observation)).resize((WIDTH, round(scale * camera.height)))
         if tracked.estimate is not None:
-            _draw_estimate(draw, camera.zoomed(scale), tracked.estimate)
+            image = _with_surface(image, camera.zoomed(scale, size=image.size), tracked.estimate)
+        draw = ImageDraw.Draw(image)
+        draw.text((6, 4), f"{tracked.time:.1f} s  {tracked.status}", fill="black", stroke_width=2, stroke_fill="white")
+        if tracked.estimate is not None:
+            _draw_axes(draw, camera.zoomed(scale), tracked.estimate)
         self.pictures.append(image)
 
     def save(self, path, seconds: float) -> None:
         """Write the GIF; it takes ``seconds``."""
-        first, *others = (picture.quantize(64) for picture in self.pictures)
+        first, *others = (picture.quantize(128) for picture in self.pictures)
         each = max(round(1000 * seconds / len(self.pictures)), 20)
         first.save(path, save_all=True, append_images=others, duration=each, loop=0)
 
 
-def _draw_estimate(draw: ImageDraw.ImageDraw, camera: Camera, estimate: Estimate) -> None:
+def _with_surface(image: Image.Image, camera: Camera, estimate: Estimate) -> Image.Image:
+    """The object's parts over what was seen of them."""
+    seen = render(estimate.carried_model(), estimate.joint_states, estimate.T_camera_base, camera)
+    there = Image.fromarray(np.where(seen.labels != NOTHING, SOLID, 0).astype(np.uint8))
+    return Image.composite(Image.fromarray((255 * shaded(seen)).astype(np.uint8)), image, there)
+
+
+def _draw_axes(draw: ImageDraw.ImageDraw, camera: Camera, estimate: Estimate) -> None:
     for joint in estimate.joints:
         ends = camera.project(axis_segment(joint.axis, joint.pivot, estimate.keypoints))
         draw.line(ends.ravel().tolist(), fill=(220, 20, 60), width=2)
-    pixels = camera.project(estimate.keypoints).tolist()
-    for (u, v), part in zip(pixels, estimate.category.part_of_keypoint, strict=True):
-        red, green, blue = (255 * part_colours(part)).astype(int)
-        draw.ellipse((u - 3, v - 3, u + 3, v + 3), fill=(red, green, blue), outline="black")

@@ -1,11 +1,11 @@
-"""A sequence on its way through the tracker, and what is written of it: lines, table, plot, film and summary, which
-tells how long the object was followed, and where truth is known how well."""
+"""A sequence on its way through the tracker, and what is written of it: lines, page, table, plot, film, recording, and
+a summary, which tells how long the object was followed, and where truth is known how well."""
 
 import csv
 import json
 import sys
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,14 +16,17 @@ import numpy as np
 from omad.common.batches import progress
 from omad.common.errors import InputError, NothingSeen, WorkError
 from omad.common.files import one_line, publish, unfinished, write_atomic, write_json, writing
+from omad.estimation.world import in_world, known_gravity
 from omad.objects.category import Category
+from omad.output.formats import save_formats
 from omad.output.picture import save
-from omad.sensing.input_options import InputOptions
 from omad.sensing.observation import Observation
-from omad.sensing.reader import InputReader
 
 from .frames import FrameFile
+from .page import TrackPage
 from .pictures import Film, Truth, states_over_time
+from .places import CameraPlaces
+from .recorder import Recorder
 from .tracker import TrackedEstimate, Tracker
 
 FRAMES = "frames.jsonl"
@@ -34,18 +37,28 @@ class TrackedSequence:
     """Follows one object frame by frame into the files of a folder."""
 
     tracker: Tracker
-    options: InputOptions
-    """How frames are to be read."""
+    read: Callable[[FrameFile], Observation]
+    """Of a frame. Raises InputError, and NothingSeen where it is in order and shows nothing."""
     output: Path
+    places: CameraPlaces | None = None
+    """Of the camera in the world: poses are then given there, too."""
+    gravity: str | None = None
+    """As ``known_gravity`` takes it."""
+    formats: tuple[str, ...] = ()
+    """Written of the last frame in which the object was followed; a Rerun recording of all of them."""
     film: Film | None = None
+    recorder: Recorder | None = None
     stream: bool = False
     """Frames come while they are tracked: each is answered on stdout, and even the first may be refused."""
     files: list[FrameFile] = field(default_factory=list)
     tracked: list[TrackedEstimate] = field(default_factory=list)
     refused: list[dict[str, str]] = field(default_factory=list)
     seconds: list[float] = field(default_factory=list)
-    reader: InputReader | None = None
-    size: str = ""
+    page: TrackPage = field(default_factory=TrackPage)
+    last: tuple[Observation, TrackedEstimate] | None = None
+    """The last frame that was followed."""
+    began: bool = False
+    """A frame could be read."""
     lines: TextIO | None = None
     ending: ExitStack = field(default_factory=ExitStack)
     """Takes away what is unfinished."""
@@ -56,8 +69,9 @@ class TrackedSequence:
         for frame in frames if self.stream else progress(frames, None, "frame"):
             began = time.perf_counter()
             try:
-                observation = self._read(frame.path)
-                tracked = self.tracker(observation, frame.time)
+                observation = self._read(frame)
+                T_world_camera = None if self.places is None else self.places(frame)
+                tracked = self.tracker(observation, frame.time, known_gravity(self.gravity, T_world_camera))
             except WorkError:
                 raise
             except (InputError, ArithmeticError, ValueError, RuntimeError, TypeError) as error:
@@ -66,31 +80,35 @@ class TrackedSequence:
             self.seconds.append(time.perf_counter() - began)
             self.files.append(frame)
             self.tracked.append(tracked)
-            self._write({"frame": frame.path.name, **tracked.to_dict()})
-            if self.film is not None:
-                self.film.add(observation, tracked)
+            record = {"frame": frame.path.name, **tracked.to_dict()}
+            if T_world_camera is not None and tracked.estimate is not None:
+                record["world"] = in_world(tracked.estimate, T_world_camera)
+            self._write(record)
+            self._draw(frame, observation, tracked)
 
-    def _read(self, path: Path) -> Observation | None:
+    def _draw(self, frame: FrameFile, observation: Observation | None, tracked: TrackedEstimate) -> None:
+        if observation is not None and tracked.status == "tracking":
+            self.last = observation, tracked
+        self.page.add(frame.path.name, observation, tracked)
+        if self.film is not None:
+            self.film.add(observation, tracked)
+        if self.recorder is not None:
+            self.recorder.add(observation, tracked)
+
+    def _read(self, frame: FrameFile) -> Observation | None:
         """None where the frame is in order and shows nothing."""
-        if self.reader is None:
-            self.reader = InputReader.of(self.options, [path])
         try:
-            observation = self.reader(path)
+            observation = self.read(frame)
         except NothingSeen:
-            return None
-        if observation.depth is not None:
-            height, width = observation.depth.shape
-            self.size = self.size or f"{width}x{height}"
-            if (size := f"{width}x{height}") != self.size:
-                cure = "intrinsics hold for one size, track them apart"
-                raise InputError(f"{path}: is {size}, earlier frames are {self.size}; {cure}")
+            observation = None
+        self.began = True
         return observation
 
     def _refuse(self, frame: FrameFile, error: Exception) -> None:
         reason = one_line(error)
         if str(frame.path) not in reason:
             reason = f"{frame.path}: {reason}"
-        if self.reader is None and not self.stream:
+        if not (self.began or self.stream):
             raise InputError(reason) from error  # the options are wrong for every frame
         print(f"omad: {reason}", file=sys.stderr)
         self.refused.append({"frame": frame.path.name, "reason": reason})
@@ -113,9 +131,11 @@ class TrackedSequence:
             with writing(self.output / FRAMES), self.ending:
                 self.lines.close()
                 publish(Path(self.lines.name), self.output / FRAMES)
+        if self.recorder is not None:
+            self.recorder.close()
 
     def finish(self, truth: dict[str, list[float]] | None) -> dict[str, Any]:
-        """Write table, plot, film and summary; returns the summary."""
+        """Write page, table, plot, film, formats and summary; returns the summary."""
         folder, category = self.output, self.tracker.estimator.category
         true = None if truth is None else [truth.get(f.path.name, truth.get(f.path.stem)) for f in self.files]
         seconds = float(np.median(self.seconds)) if self.seconds else None
@@ -124,6 +144,9 @@ class TrackedSequence:
         if self.tracked:
             save(states_over_time(category, self.tracked, true), folder / "states.png")
             write_atomic(folder / "states.csv", lambda path: self._table(path, category))
+        self.page.save(folder / "track.html", f"{category.name}: {len(self.tracked)} frames")
+        if self.last is not None and self.last[1].estimate is not None:
+            save_formats(self.last[1].estimate, self.last[0], folder / "last", self.formats)
         if (film := self.film) is not None and film.pictures:
             lasting = self.tracked[-1].time - self.tracked[0].time
             write_atomic(folder / "track.gif", lambda path: film.save(path, lasting))

@@ -7,7 +7,7 @@
 While the object is followed, a frame costs one look of the network, in the frame where the object is expected; least
 squares start there, with the shape believed so far as their prior. A Kalman filter smooths pose and joint states. At
 intervals, and wherever a frame surprises, a cold start challenges the track. An object that is lost is searched with
-cold starts until two consecutive ones agree.
+cold starts until two consecutive ones agree; at first one that is surely right will do.
 """
 
 from dataclasses import dataclass, replace
@@ -19,10 +19,11 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from omad.common.arrays import as_doubles
-from omad.common.errors import InputError
+from omad.common.errors import InputError, shown
 from omad.estimation.estimate import Estimate
 from omad.estimation.estimator import Estimator
-from omad.estimation.known import Near
+from omad.estimation.known import Known, Near
+from omad.estimation.looks.shown import check_observations
 from omad.sensing.observation import Observation
 
 from .motion import MotionConfig, MotionFilter, Placement
@@ -40,7 +41,9 @@ class TrackerConfig:
     """When frames are believed, and how they are smoothed."""
 
     motion: MotionConfig = MotionConfig()
+    """How poses and joint states may change."""
     shape: ShapeConfig = ShapeConfig()
+    """How the belief about the shape grows."""
     jitter: float = 0.4
     """Share of an answer's variance that differs from frame to frame. Filtering lowers this share; the rest, the
     error that neighbouring frames have in common, stays in the reported covariance."""
@@ -56,6 +59,8 @@ class TrackerConfig:
     """Expected keypoint error (geometric mean, category units) above which a frame shows no such object."""
     worst_residual: float = 0.12
     """The same for the distance between model and observed keypoints (category units)."""
+    sure: float = 0.9
+    """Probability from which on the first answer of all starts a track, without another that agrees."""
     same_turn: float = float(np.radians(25))
     """Two answers agree where they differ by no more than this rotation (radians) ..."""
     same_place: float = 0.25
@@ -89,6 +94,7 @@ class TrackedEstimate:
 
 
 DEFAULT_CONFIG = TrackerConfig()
+NOTHING_KNOWN = Known()
 
 
 @dataclass
@@ -123,28 +129,30 @@ class Tracker:
         self._time = -np.inf
         self.shape = self._category_shape()
 
-    def __call__(self, observation: Observation | None, time: float) -> TrackedEstimate:
-        """The next frame at ``time`` in seconds; None where it shows nothing. Raises InputError for a time that does
-        not come after the last one."""
+    def __call__(self, observation: Observation | None, time: float, known: Known = NOTHING_KNOWN) -> TrackedEstimate:
+        """The next frame at ``time`` in seconds; None where it shows nothing. ``known``: of the object in this frame's
+        camera, gravity say. Raises InputError for a time that does not come after the last one."""
         if not isinstance(time, int | float) or not abs(time) < LATEST:
-            raise InputError(f"time {time!r}: must be seconds")
+            raise InputError(f"time {shown(repr(time))}: must be seconds")
         if not time > self._time:
             raise InputError(f"time {time} s: must come after the last frame's, {self._time} s; sort the frames")
+        if observation is not None:
+            check_observations([observation])
         self._time = time
         track = self._track
         if track is None:
-            return self._search(observation, time)
+            return self._search(observation, time, known)
         track.motion.predict(time - track.now)
         track.now = time
         if observation is None:
             return self._miss(track, None, None)
-        single = self.estimator.near(observation, self._near(track))
+        single = self.estimator.near(observation, self._near(track), known)
         surprise = self._surprise(track, single)
         believed = surprise < self._limit and self._plausible(single)
         track.since_challenge += 1
         if not believed or track.doubt > 0 or track.since_challenge == self.config.challenge_every:
             track.since_challenge = 0
-            single, believed = self._challenge(track, single, self.estimator(observation), believed)
+            single, believed = self._challenge(track, single, self.estimator(observation, known), believed)
         if believed:
             return self._believe(track, single, surprise)
         plausible = self._plausible(single)
@@ -153,11 +161,12 @@ class Tracker:
         self._candidate = single if plausible else None
         return self._miss(track, single, surprise)
 
-    def _search(self, observation: Observation | None, time: float) -> TrackedEstimate:
-        cold = None if observation is None else self.estimator(observation)
+    def _search(self, observation: Observation | None, time: float, known: Known) -> TrackedEstimate:
+        cold = None if observation is None else self.estimator(observation, known)
         before, self._candidate = self._candidate, None
         if cold is not None and self._plausible(cold):
-            if before is not None and self._agree(before, cold):
+            first_of_all = before is None and self.shape.views == 0 and (cold.probability or 0.0) >= self.config.sure
+            if first_of_all or (before is not None and self._agree(before, cold)):
                 return self._start(cold, time)
             self._candidate = cold
         return TrackedEstimate(time, "lost", None, cold)

@@ -1,5 +1,6 @@
 """Annotations of an ArtImage download as they stand in their files."""
 
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -7,6 +8,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from omad.common.decode import Shape
 from omad.common.errors import InputError
 from omad.common.incoming import read_json
 
@@ -42,7 +44,7 @@ def read_annotation(layout: Layout, name: str, parts: int) -> Annotation:
     def field(key: str, wanted: str, read: Callable[[], T]) -> T:
         try:
             return read()
-        except (KeyError, TypeError, ValueError) as error:
+        except (LookupError, TypeError, ValueError, OverflowError, AttributeError) as error:
             raise InputError(f"{path}: field {key!r} must hold {wanted}; {AGAIN}") from error
 
     instance = field("instances", "one instance", lambda: _only(record["instances"]))
@@ -54,6 +56,8 @@ def read_annotation(layout: Layout, name: str, parts: int) -> Annotation:
     T_camera_base, *_ = field("transformation", rigid, lambda: [_rigid(link["transformation"]) for link in links])
     numbers = "a number of each link but the base"
     states = field("state", numbers, lambda: _finite([link["state"] for link in links[1:]], parts - 1).tolist())
+    if os.path.isabs(depth) or ".." in Path(depth).parts:
+        raise InputError(f"{path}: field 'depth_path' leaves the folder of the images; {AGAIN}")
     mask = depth.replace("depth", "category_mask")
     return Annotation(path, thing, box, layout.images / depth, layout.images / mask, T_camera_base, states)
 
@@ -64,7 +68,7 @@ def _only(instances: list[Any]) -> dict[str, Any]:
 
 
 def _box(values: list[float]) -> tuple[int, int, int, int]:
-    x1, y1, x2, y2 = (int(value) for value in values)
+    x1, y1, x2, y2 = (int(value) for value in Shape(4).array(values))
     if not (0 <= x1 < x2 and 0 <= y1 < y2):
         raise ValueError
     return x1, y1, x2, y2
@@ -86,7 +90,4 @@ def _rigid(values: Any) -> np.ndarray:
 
 
 def _finite(values: Any, *shape: int) -> np.ndarray:
-    array = np.array(values, dtype=np.float64)
-    if array.shape != shape or not np.isfinite(array).all():
-        raise ValueError
-    return array
+    return Shape(*shape).array(values)

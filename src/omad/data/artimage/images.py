@@ -5,12 +5,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 
-from omad.common.errors import InputError
-from omad.common.incoming import read_json
+from omad.common.decode import Within, decode
+from omad.common.errors import InputError, shown
+from omad.common.incoming import read_json, read_text
 from omad.geometry.camera import Camera
 from omad.objects.category import Category
 from omad.sensing.camera_files import read_intrinsics
@@ -24,6 +25,14 @@ from .objects import ArtImageObject, read_object, read_rest_states
 
 Broken = Literal["refuse", "skip"]
 """What to do about broken files: stop at the first, or leave out what they belong to and list it."""
+
+
+@dataclass(frozen=True)
+class Size:
+    """Of all images, pixels."""
+
+    width: Annotated[int, Within(1, 30_000)]
+    height: Annotated[int, Within(1, 30_000)]
 
 
 @dataclass(frozen=True)
@@ -121,14 +130,18 @@ def _listed(layout: Layout, split: Split) -> list[str]:
     path = layout.valid(split)
     if not path.is_file():
         raise InputError(f"{path}: missing; download it again, or finish the rendering that was to write it")
-    return [name for line in path.read_text(encoding="utf-8", errors="replace").splitlines() if (name := line.strip())]
+    names = [name for line in read_text(path, AGAIN, errors="replace").splitlines() if (name := line.strip())]
+    if outside := [name for name in names if "/" in name or "\\" in name or "\0" in name]:
+        raise InputError(f"{path}: names {shown(repr(outside[0]))}, which is no file of the annotations; {AGAIN}")
+    return names
 
 
 def _read_camera(layout: Layout) -> Camera:
     record = read_json(layout.camera, AGAIN)
     K = read_intrinsics(layout.camera)
     try:
-        return Camera.from_K(K, int(record["width"]), int(record["height"]))
+        size = decode(Size, {"width": record["width"], "height": record["height"]})
+        return Camera.from_K(K, size.width, size.height)
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(f"{layout.camera}: no width and height; {AGAIN}") from error
 

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from omad.common.errors import InputError
+from omad.common.incoming import read_bytes, readable
 from omad.geometry.joint_kinds import PRISMATIC, type_of
 from omad.geometry.rigid import rigid
 from omad.objects.category import Category
@@ -56,10 +57,8 @@ def read_joints(path: Path, category: Category) -> list[FileJoint]:
 def _parse(path: Path) -> ElementTree.Element:
     if not path.is_file():
         raise InputError(f"{path}: missing; {AGAIN}")
-    try:
-        return ElementTree.parse(path).getroot()
-    except (ElementTree.ParseError, OSError) as error:
-        raise InputError(f"{path}: broken XML ({error}); {AGAIN}") from error
+    with readable(path, "XML", AGAIN):
+        return ElementTree.fromstring(read_bytes(path, "text_bytes"))
 
 
 def _triple(element: ElementTree.Element | None, key: str) -> np.ndarray:

@@ -12,6 +12,7 @@
 One unit of length is a category unit; images count thousandths of it.
 """
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -94,6 +95,8 @@ class Layout:
 
 def is_artimage(root: Path | str) -> bool:
     """Whether a folder looks like an ArtImage root, whole or not, or like one category of it."""
+    if not os.path.isdir(root):  # nor where its name is too long for there to be one
+        return False
     root = Path(root)
     one = Layout(root.parent, root.name)
     signs = [Layout(root, "").camera, one.annotation(""), *root.glob("*/train/annotations")]

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from omad.common.decode import Shape
 from omad.common.errors import InputError
 from omad.common.incoming import read_json
 from omad.geometry.rigid import box, carry, rigid, turned_about
@@ -104,9 +105,7 @@ def _rest_state(layout: Layout, record: dict[str, Any], name: str, joint: FileJo
     if name not in record and joint.turns:
         return 0.0
     try:
-        state = float(record[name][str(joint.part)]["state"])
-        if not math.isfinite(state):
-            raise ValueError
+        state = float(Shape().array(record[name][str(joint.part)]["state"]))
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(f"{layout.rest_states}: no state of part {joint.part} of object {name}; {AGAIN}") from error
     return math.radians(state) if joint.turns else state

@@ -97,7 +97,12 @@ def rounded_rectangle(width: float, height: float, radius: float, segments: int 
 
 
 def slab(
-    low: Sequence[float], high: Sequence[float], axis: int, radius: float, bevel: float = 0.0, segments: int = 3
+    low: Sequence[float] | np.ndarray,
+    high: Sequence[float] | np.ndarray,
+    axis: int,
+    radius: float,
+    bevel: float = 0.0,
+    segments: int = 3,
 ) -> Mesh:
     """Box whose four edges along ``axis`` are rounded by ``radius`` and whose two faces across it are bevelled."""
     lo, hi = np.asarray(low, float), np.asarray(high, float)
@@ -111,7 +116,9 @@ def slab(
     return loft(np.stack(rings))
 
 
-def cylinder(start: Sequence[float], end: Sequence[float], radius: float, segments: int = 10) -> Mesh:
+def cylinder(
+    start: Sequence[float] | np.ndarray, end: Sequence[float] | np.ndarray, radius: float, segments: int = 10
+) -> Mesh:
     """Round bar from ``start`` to ``end``."""
     return tube(np.array([start, end], float), radius, segments)
 

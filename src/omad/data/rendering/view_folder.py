@@ -30,7 +30,7 @@ from tqdm import tqdm
 from omad.common.decode import Shape, Within
 from omad.common.errors import InputError
 from omad.common.files import write_atomic, write_json
-from omad.common.incoming import decoded, read_image, read_json, read_record
+from omad.common.incoming import decoded, is_file, read_image, read_json, read_record
 from omad.common.limits import limits
 from omad.common.workers import helpers
 from omad.geometry.camera import STANDARD_CAMERA, Camera
@@ -150,7 +150,7 @@ class ViewFolder:
 
 def is_view_folder(folder: str | Path) -> bool:
     """Whether ``render_to_folder`` made, or began, this folder."""
-    return (Path(folder) / "dataset.json").is_file()
+    return is_file(Path(folder) / "dataset.json")
 
 
 def open_views(folder: str | Path) -> ViewFolder:

@@ -6,7 +6,7 @@ the child reaches from its joint, on which side of its parent it lies, which way
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,29 +17,45 @@ from omad.objects.category import Category
 from omad.objects.model import ObjectModel
 
 from .articulation import RawArticulation, as_model
-from .rest_states import REST_RULES
+from .rest_states import rest_state
 
 EXACT = 1e-6
 """Share of the object's diagonal by which a canonical object may miss its place, and radians of its limits."""
 LEAST_AGREEMENT = 0.3
 """Cosine below which a child does not lie where the spec says: the object is of another kind."""
-LEAST_TRAVEL = 0.1
-"""Share of the spec's range of states that an object's joint must cover."""
+LEAST_TRAVEL, LEAST_INSIDE = 0.1, 0.5
+"""Share of the spec's range of states that an object's joint must cover, or share of its own that must be in there."""
+HARDLY = 0.02
+"""Share of the spec's range below which a joint does not move."""
 SHORT = 0.1
 """Share of the object's diagonal below which a distance says little about its direction."""
 
 
-def align(labellings: Sequence[RawArticulation], category: Category) -> ObjectModel:
+@dataclass(frozen=True)
+class Aligned:
+    """An object in canonical space."""
+
+    model: ObjectModel
+    R_canonical_source: np.ndarray
+    """(3, 3) how it was turned."""
+    mirrored: bool
+    """Whether it is the mirror image of what stands in the file."""
+
+
+def align(labellings: Sequence[RawArticulation], category: Category) -> Aligned:
     """Bring an articulation to canonical space.
 
     Each labelling has the category's parts as its links and the category's joints as its joints, in order;
     the one that fits the spec best is taken. Raises InputError, without a file's name, where none is shaped
     or jointed like the category's. What is canonical already, as our own files are, stays as it stands.
     """
-    best = next((as_model(raw, category) for raw in labellings if _is_canonical(raw, category)), None)
+    found = next((as_model(raw, category) for raw in labellings if _is_canonical(raw, category)), None)
+    best, R, mirrored = found, np.eye(3), False
     if best is None:
-        candidates = (candidate for raw in labellings for candidate in _candidates(raw, category))
-        best, _ = max(candidates, key=lambda candidate: candidate[1])
+        models = [(as_model(raw, category), False) for raw in labellings]
+        models += [(model.mirrored(), True) for model, _ in models if category.either_hand]
+        candidates = ((*each, image) for model, image in models for each in _candidates(model, category))
+        best, R, _, mirrored = max(candidates, key=lambda candidate: candidate[2])
     _check(best, category)
     # limits within the spec's; the spec's where the object states none
     spec = category.metric_limits
@@ -47,7 +63,7 @@ def align(labellings: Sequence[RawArticulation], category: Category) -> ObjectMo
     model = replace(best, limits=limits).centred()
     # pivots move along their axes to where they are nearest to the origin, as any point of an axis will do
     along = (model.pivots * model.axes).sum(1, keepdims=True)
-    return replace(model, pivots=model.pivots - along * model.axes)
+    return Aligned(replace(model, pivots=model.pivots - along * model.axes), R, mirrored)
 
 
 def _is_canonical(raw: RawArticulation, category: Category) -> bool:
@@ -65,19 +81,18 @@ def _is_canonical(raw: RawArticulation, category: Category) -> bool:
     return bool(in_place and _agreement(model, category).min() > LEAST_AGREEMENT)
 
 
-def _candidates(raw: RawArticulation, category: Category) -> Iterator[tuple[ObjectModel, float]]:
-    """The object at rest in every frame that might be canonical, and how well it fits the spec there."""
-    model = as_model(raw, category)
+def _candidates(model: ObjectModel, category: Category) -> Iterator[tuple[ObjectModel, np.ndarray, float]]:
+    """The object at rest in every frame that might be canonical, the turn into it, and how well it fits the spec."""
     rest = []
     joints = zip(category.joints, model.parts[1:], model.axes, model.pivots, model.limits, strict=True)
-    for spec, child, *joint in joints:
-        rest.append(REST_RULES[spec.motion.turns, spec.rest](model.parts[spec.parent], child, *joint))
+    for spec, child, axis, pivot, limits in joints:
+        rest.append(rest_state(spec.motion, spec.rest, model.parts[spec.parent], child, axis, pivot, limits))
     at_rest = _zero_at(model, np.array(rest))
     for R in _frames(at_rest, category):
         turned = _turned(at_rest, R, category)
         # most sources have z up, others y: that decides where geometry does not
         up = 0.05 * R[1, 2] + 0.02 * R[1, 1]
-        yield turned, float(_agreement(turned, category).mean() + _travel(turned, category).mean() + up)
+        yield turned, R, float(_agreement(turned, category).mean() + _travel(turned, category).mean() + up)
 
 
 def _zero_at(model: ObjectModel, states: np.ndarray) -> ObjectModel:
@@ -157,8 +172,10 @@ def _check(model: ObjectModel, category: Category) -> None:
                     f"its {part.name} spans {share:.2f} of the object's diagonal along {letter},"
                     f" that of a {category.name} {least:g} to {most:g}"
                 )
+    range_of = np.ptp(category.metric_limits, axis=1)
+    own = np.nan_to_num(np.ptp(model.limits, axis=1), nan=np.inf)  # a joint that moves but a little may do so
     for joint, share in enumerate(_travel(model, category)):
-        if share < LEAST_TRAVEL:
+        if share < min(LEAST_TRAVEL, LEAST_INSIDE * own[joint] / range_of[joint]) or share < HARDLY:
             low, high = model.limits[joint]
             raise InputError(
                 f"joint {model.joint_names[joint]!r} moves from {low:.2f} to {high:.2f} from its rest state "

@@ -4,6 +4,8 @@ import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
 from omad.common.errors import InputError
 from omad.common.incoming import as_path, readable
 from omad.objects.category import Category
@@ -15,6 +17,9 @@ from .articulation import read_articulation
 from .links import label_parts
 from .shapes import MissingMeshes
 
+UPRIGHT = 0.9
+"""Cosine from which an axis points up."""
+
 
 @dataclass(frozen=True)
 class Refusal:
@@ -23,6 +28,17 @@ class Refusal:
     name: str
     reason: str
     """One line."""
+
+
+@dataclass(frozen=True)
+class ImportedModel:
+    """A model that was taken in."""
+
+    model: ObjectModel
+    notes: list[str]
+    """A line on everything that had to be put right about it."""
+    up: str | None
+    """Which of the file's axes points up in canonical space, as "+z"; None where none does."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +79,7 @@ def import_model(
     metres per unit of the file; left out, PartNet-Mobility folders have the category's and others 1. ``mesh_folder``:
     where meshes may lie besides the model's own folder. Raises InputError with the file and the reason where the model
     is broken or does not fit the category."""
-    return import_with_notes(path, category, scale, missing_meshes, mesh_folder)[0]
+    return import_with_notes(path, category, scale, missing_meshes, mesh_folder).model
 
 
 def import_with_notes(
@@ -72,8 +88,8 @@ def import_with_notes(
     scale: float | None = None,
     missing_meshes: MissingMeshes = "refuse",
     mesh_folder: Path | None = None,
-) -> tuple[ObjectModel, list[str]]:
-    """``import_model``, and a line on everything that had to be put right about the model."""
+) -> ImportedModel:
+    """``import_model``, and what it says of the model besides."""
     path = as_path(path, "a URDF or its folder")
     with readable(path, f"a model of a {category.name}", "leave it out, or repair it"):
         return _imported(path, category, scale, missing_meshes, mesh_folder)
@@ -81,7 +97,7 @@ def import_with_notes(
 
 def _imported(
     path: Path, category: Category, scale: float | None, missing_meshes: MissingMeshes, mesh_folder: Path | None
-) -> tuple[ObjectModel, list[str]]:
+) -> ImportedModel:
     file = _urdf_of(path) if path.is_dir() else path
     normalised = partnet.is_partnet(file)
     if normalised:
@@ -94,17 +110,24 @@ def _imported(
     moved = [joint.name for joint, before in zip(raw.joints, stated.joints, strict=True) if joint is not before]
     notes = [f"axis of {', '.join(moved)} taken from {partnet.JOINTS}: the URDF has it elsewhere"] if moved else []
     try:
-        model = align(label_parts(raw, category), category)
+        aligned = align(label_parts(raw, category), category)
     except InputError as error:
         raise InputError(f"{file}: not usable as {category.name}: {error}") from error
-    return replace(model, name=object_name(path)), notes
+    notes += ["is the other way round than the spec says: taken as its mirror image"] if aligned.mirrored else []
+    return ImportedModel(replace(aligned.model, name=object_name(path)), notes, _up(aligned.R_canonical_source))
+
+
+def _up(R_canonical_source: np.ndarray) -> str | None:
+    up = R_canonical_source[1]  # of canonical space, as the file's frame has it
+    axis = int(np.abs(up).argmax())
+    return ("+" if up[axis] > 0 else "-") + "xyz"[axis] if abs(up[axis]) > UPRIGHT else None
 
 
 def object_paths(folder: Path | str) -> list[Path]:
     """The ``.urdf`` files or sub-folders of ``folder``, one an object, by name; or ``folder`` itself, if it is one.
     Raises InputError where ``folder`` does not exist or holds no object at all."""
     folder = as_path(folder, "a folder of URDF models")
-    if not os.path.exists(folder):
+    if not (os.path.isdir(folder) or os.path.isfile(folder)):
         raise InputError(f"{folder}: no such folder; give a folder of URDF models")
     if folder.is_file() or (folder / partnet.URDF).is_file():
         return [folder]

@@ -27,7 +27,7 @@ from omad.objects.model import ObjectModel
 from omad.objects.urdf import mesh_files, write_urdf
 
 from .articulation import read_urdf
-from .folder import Refusal, import_with_notes, object_name, object_paths
+from .folder import ImportedModel, Refusal, import_with_notes, object_name, object_paths
 from .shapes import MissingMeshes
 
 RECORD = "import.json"
@@ -76,7 +76,7 @@ def import_folder(
     options = {"source": str(source.resolve()), "category": asdict(category), "scale": scale}
     options = json.loads(json.dumps({**options, "missing_meshes": missing_meshes}))
 
-    def importing(path: Path) -> tuple[ObjectModel, list[str]]:
+    def importing(path: Path) -> ImportedModel:
         return import_with_notes(path, category, scale, missing_meshes, mesh_folder)
 
     make_folder(output)
@@ -89,7 +89,7 @@ def _import_all(
     category: Category,
     output: Path,
     record: "_Record",
-    importing: Callable[[Path], tuple[ObjectModel, list[str]]],
+    importing: Callable[[Path], ImportedModel],
 ) -> ImportSummary:
     for name in set(record.stamps) - {object_name(path) for path in paths}:
         record.drop(name)
@@ -100,18 +100,18 @@ def _import_all(
         try:
             _check_plain(name, f"{path}: an object's name")
             if record.stamps.get(name) != stamp or not file.is_file():
-                model, said = importing(path)
+                found = importing(path)
                 record.drop(name)
                 if file.parent.is_symlink():
                     raise InputError(f"{file.parent}: leads out of the folder; remove it")
-                write_urdf(model, file)
-                record.add(name, stamp, said, [file, *mesh_files(model, file)])
+                write_urdf(found.model, file)
+                record.add(name, stamp, found, [file, *mesh_files(found.model, file)])
             models.append(read_urdf(file, category))
             notes += [Refusal(name, note) for note in record.notes.get(name, [])]
         except InputError as error:
             refused.append(Refusal(name, str(error)))
             record.drop(name)
-    summary = ImportSummary(models, refused, notes)
+    summary = ImportSummary(models, refused, [*notes, *_lying(record.up)])
     if models or (output / RECORD).is_file():
         record.write(summary.to_dict())
     return summary
@@ -128,6 +128,8 @@ class _Record:
     notes: dict[str, list[str]]
     written: dict[str, dict[str, str]] = field(default_factory=dict)
     """By name, the digests of the files that were written for a model, by their paths in its folder."""
+    up: dict[str, str] = field(default_factory=dict)
+    """By name, which of the axes of a model's file points up, where one does."""
     folder: Path = Path()
 
     @classmethod
@@ -147,11 +149,12 @@ class _Record:
             if found.options.get(key) != value:
                 raise InputError(f"{output}: was made with another {key}; choose another folder, or remove this one")
         notes = {name: list(said) for name, said in found.notes.items()}
-        return cls(options, found.stamps, notes, found.written, output)
+        return cls(options, found.stamps, notes, found.written, found.up, output)
 
-    def add(self, name: str, stamp: str, notes: list[str], files: list[Path]) -> None:
+    def add(self, name: str, stamp: str, found: ImportedModel, files: list[Path]) -> None:
         """A model was written into these ``files``."""
-        self.stamps[name], self.notes[name] = stamp, notes
+        self.stamps[name], self.notes[name] = stamp, found.notes
+        self.up |= {} if found.up is None else {name: found.up}
         self.written[name] = {file.relative_to(self.folder / name).as_posix(): _digest(file) for file in files}
         self.write({})
 
@@ -159,6 +162,7 @@ class _Record:
         """Forget a model, and remove what an earlier run wrote of it, as far as nobody has changed it since."""
         self.stamps.pop(name, None)
         self.notes.pop(name, None)
+        self.up.pop(name, None)
         made, folders = self.folder / name, set[Path]()
         for path, digest in self.written.pop(name, {}).items():
             file = made / path
@@ -171,7 +175,13 @@ class _Record:
                 folder.rmdir()
 
     def write(self, summary: dict[str, Any]) -> None:
-        values = {"options": self.options, "stamps": self.stamps, "notes": self.notes, "written": self.written}
+        values = {
+            "options": self.options,
+            "stamps": self.stamps,
+            "notes": self.notes,
+            "written": self.written,
+            "up": self.up,
+        }
         write_json(self.folder / RECORD, {**values, "summary": summary}, indent=1)
 
 
@@ -183,6 +193,20 @@ class _Kept:
     stamps: dict[str, str]
     notes: dict[str, tuple[str, ...]]
     written: dict[str, dict[str, str]]
+    up: dict[str, str] = field(default_factory=dict)
+
+
+def _lying(up: dict[str, str]) -> list[Refusal]:
+    """Models that were turned upright from another side than most."""
+    usual, count = Counter(up.values()).most_common(1)[0] if up else ("", 0)
+    if count < 2 or count <= len(up) / 2:
+        return []
+    cure = "if it lies on its side, leave it out, or it belongs to another category"
+    return [
+        Refusal(name, f"stands with its file's {axis} up, the others with {usual}: look at the picture; {cure}")
+        for name, axis in up.items()
+        if axis != usual
+    ]
 
 
 def _check_inside(path: str, what: str) -> None:

@@ -14,6 +14,7 @@ from omad.geometry.rigid import carry
 from omad.objects.category import Category
 
 from .articulation import RawArticulation, RawJoint, RawLink
+from .equivalent import rehung, with_screws
 
 COMPARABLE = 0.6
 """Links whose boxes' diagonals are at least in this ratio cannot be told apart by size."""
@@ -35,8 +36,12 @@ def label_parts(raw: RawArticulation, category: Category) -> list[RawArticulatio
     """The articulation reduced to the category's parts, in their order; several where only geometry can order them.
     Other links are folded into the part that carries them, in the state nearest to zero that their joint allows. Raises
     InputError, without the file's name, where links and joints do not fit the category."""
+    raw = with_screws(raw, category)
     roots = [0] + [link for link in range(1, len(raw.links)) if _named(raw.links[link], category, 0)]
-    found = [assignment for root in roots for assignment in _assignments(raw.rerooted(root), category)]
+    hung = [raw.rerooted(root) for root in roots]
+    found = [assignment for each in hung for assignment in _assignments(each, category)]
+    if not found:
+        found = [a for each in hung for other in rehung(each) for a in _assignments(other, category)]
     if not found:
         raise InputError(_why_none(raw, category))
     most = max(a.named for a in found)

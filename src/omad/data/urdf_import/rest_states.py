@@ -6,8 +6,10 @@ from collections.abc import Callable
 import numpy as np
 
 from omad.geometry.directions import face_directions, tip_direction
+from omad.geometry.joint_kinds import Motion
 from omad.geometry.mesh import Mesh
 from omad.geometry.rigid import box
+from omad.objects.category import RestRule
 
 NEAR_LIMIT = math.radians(10)
 """A closed state this near to a stated limit is that limit: limits are exact, faces may slope."""
@@ -96,7 +98,7 @@ def _zero(parent: Mesh, child: Mesh, axis: np.ndarray, pivot: np.ndarray, limits
     return 0.0 if np.isnan(limits).any() else float(np.clip(0.0, *limits))
 
 
-REST_RULES: dict[tuple[bool, str], Callable[..., float]] = {
+RULES: dict[tuple[bool, RestRule], Callable[..., float]] = {
     (True, "closed"): _closed_turning,
     (True, "perpendicular"): _perpendicular,
     (True, "tips together"): _tips_together,
@@ -104,9 +106,18 @@ REST_RULES: dict[tuple[bool, str], Callable[..., float]] = {
     (False, "closed"): _closed_sliding,
     (False, "zero"): _zero,
 }
-"""By whether the joint turns, and the spec's rule: the state, radians or metres, at which it is at rest. Parent and
-child are given at the source's zero state, in one frame with the axis (3,) unit and the pivot (3,); the limits (2,) are
-NaN where the source states none."""
+"""By whether the joint turns, and the spec's rule."""
+
+
+def rest_state(
+    motion: Motion, rule: RestRule, parent: Mesh, child: Mesh, axis: np.ndarray, pivot: np.ndarray, limits: np.ndarray
+) -> float:
+    """The state, radians or metres, at which a joint is at rest by the spec's rule. Parent and child are given at the
+    source's zero state, in one frame with the axis (3,) unit and the pivot (3,); the limits (2,) are NaN where the
+    source states none. A screw is closed where it is screwed in."""
+    if motion.turns and motion.slide and rule == "closed":
+        return _closed_sliding(parent, child, axis, pivot, limits * motion.slide) / motion.slide
+    return RULES[motion.turns, rule](parent, child, axis, pivot, limits)
 
 
 def _snapped(state: float, limits: np.ndarray) -> float:

@@ -11,7 +11,7 @@ import numpy as np
 import trimesh
 
 from omad.common.errors import InputError
-from omad.common.incoming import is_file, read_bytes, readable
+from omad.common.incoming import check_file, is_file, read_bytes, readable
 from omad.common.limits import check_limit, limits
 from omad.geometry.mesh import Mesh, merge_meshes
 
@@ -77,7 +77,7 @@ def _shape(link: str, geometry: Any, files: MeshFiles) -> Mesh | None:
     if file is None:
         if files.missing == "skip":
             return None
-        cure = "restore it, name the folder that it is in (--mesh-folder), or read with missing_meshes='skip'"
+        cure = "restore it, name the folder that it is in (--mesh-folder), or use what is there (--missing-meshes skip)"
         raise InputError(f"{files.urdf}: mesh {geometry.mesh.filename!r} of link {link!r} is missing; {cure}")
     mesh, scale = _load_mesh(file), geometry.mesh.scale
     scale = np.ones(3) if scale is None else np.broadcast_to(_numbers(scale, (1, 3), owner), 3)
@@ -111,6 +111,7 @@ def _load_mesh(file: Path) -> Mesh:
     if suffix not in MESH_FORMATS:
         raise InputError(f"{file}: unknown mesh format {suffix!r}; known ones are {', '.join(MESH_FORMATS)}")
     with readable(file, "a mesh"):
+        check_file(file)
         if suffix == ".obj":
             check_limit("data_bytes", file.stat().st_size, f"{file}: the file")
             with file.open(encoding="utf-8", errors="replace") as lines:

@@ -6,11 +6,12 @@ checkpoint folder beside the network as ``confidence.json``.
 
 from __future__ import annotations
 
+import json
 from dataclasses import asdict, dataclass
 from hashlib import sha256
 from pathlib import Path
 from statistics import NormalDist
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 
@@ -23,7 +24,7 @@ from omad.objects.category import Category
 from .perceptron import Perceptron
 from .signals import IMAGE, JOINT, Signals
 
-FILE, WEIGHTS = "confidence.json", "model.safetensors"
+FILE, WEIGHTS, CHECKSUM = "confidence.json", "model.safetensors", "sha256"
 FORMAT = 1
 RIGHT_ANGLE, RIGHT_SHARE = float(np.radians(10)), 0.1
 """An answer is right where no joint state is farther off: radians, and a share of the object's diagonal."""
@@ -77,7 +78,8 @@ class Confidence:
 
     def save(self, folder: Path) -> None:
         """Put it into a checkpoint folder, whole or not at all. Raises InputError."""
-        write_json(folder / FILE, {"format": FORMAT, "weights": _identity(folder), **asdict(self)})
+        record = {"format": FORMAT, "weights": _identity(folder), **asdict(self)}
+        write_json(folder / FILE, {CHECKSUM: _digest(record), **record})
 
     @classmethod
     def load(cls, folder: Path, category: Category) -> Self | None:
@@ -87,6 +89,8 @@ class Confidence:
         if not path.exists():
             return None
         record = read_json(path, CURE)
+        if isinstance(record, dict) and CHECKSUM in record and record.pop(CHECKSUM) != _digest(record):
+            raise InputError(f"{path}: is damaged (its numbers do not give its checksum); {CURE}")
         if not isinstance(record, dict) or record.pop("format", None) != FORMAT:
             raise InputError(f"{path}: not a confidence of format {FORMAT}; {CURE}")
         if record.pop("weights", None) != _identity(folder):
@@ -109,6 +113,11 @@ class Confidence:
 def _identity(folder: Path) -> str:
     """Tells the network of a checkpoint folder from others."""
     return sha256((folder / WEIGHTS).read_bytes()).hexdigest()[:16]
+
+
+def _digest(record: dict[str, Any]) -> str:
+    """Of all that a file says, but for its own checksum."""
+    return sha256(json.dumps(record, sort_keys=True).encode()).hexdigest()
 
 
 def joint_inputs(signals: Signals) -> np.ndarray:

@@ -114,7 +114,7 @@ def _draw_row(row: Shown, panels: Sequence[Axes]) -> None:
     everything = [observation.points, estimate.keypoints, reference, true_axes.reshape(-1, 3), *vertices]
     crop = crop_around(view.camera, np.concatenate(everything), ASPECT, foot=0.1)
 
-    _draw_depth(panels[0], crop, observation)
+    draw_depth(panels[0], crop, observation)
     draw_points(panels[1], crop, observation.points, part_colours(estimate.part_labels))
     open_panel(panels[1], crop)
     for panel, keypoints, pose, errors in stages:
@@ -129,7 +129,7 @@ def _draw_row(row: Shown, panels: Sequence[Axes]) -> None:
     draw_arrows(panels[4], crop, true_axes, TRUE, dotted=True)
 
 
-def _draw_depth(panel: Axes, crop: Camera, observation: Observation) -> None:
+def draw_depth(panel: Axes, crop: Camera, observation: Observation) -> None:
     camera, depth, mask = observation.camera, observation.depth, observation.mask
     assert camera is not None
     assert depth is not None

@@ -12,9 +12,10 @@ from matplotlib.figure import Figure
 from omad.common.arrays import as_doubles
 from omad.data.rendering.standard_views import View
 from omad.estimation.estimate import Estimate
-from omad.geometry.mesh import convex_hull
+from omad.geometry.mesh import Mesh, convex_hull
 from omad.geometry.rigid import carry_each
 from omad.model.prior import OmadPrior
+from omad.model.surfaces.surfaces import Surfaces
 from omad.objects.category import Category
 from omad.objects.model import ObjectModel
 from omad.output.picture import draw_points, part_colours
@@ -75,7 +76,7 @@ def draw_joints(rows: Sequence[JointSweep]) -> Figure:
     for index, row in enumerate(rows):
         sheet.label(index, row.category.name)
         _draw_joint_row(row, [sheet.panel(index, column) for column in range(steps + 1)])
-    sheet.note("parts: convex hulls of the keypoints · lines: where the keypoints go · arrows: joint axes")
+    sheet.note("lines: where the keypoints go · arrows: joint axes")
     return sheet.figure
 
 
@@ -113,6 +114,8 @@ class ShapeSweep:
     """(1 + 2 C, D): the mean, then minus and plus two standard deviations of each direction."""
     keypoints: np.ndarray
     """(1 + 2 C, M, 3)."""
+    parts: tuple[tuple[Mesh, ...], ...]
+    """Of each shape its parts' surfaces, canonical space at rest."""
     axes: np.ndarray
     """(1 + 2 C, J, 3)."""
     pivots: np.ndarray
@@ -120,7 +123,7 @@ class ShapeSweep:
 
 
 @torch.no_grad()
-def shape_sweep(prior: OmadPrior, category: Category, directions: int) -> ShapeSweep:
+def shape_sweep(prior: OmadPrior, category: Category, directions: int, surfaces: Surfaces | None = None) -> ShapeSweep:
     """Principal directions of the keypoints ``B beta`` under the prior's Gaussian of beta."""
     mean, covariance = prior.beta_mean.double(), prior.beta_covariance.double()
     factor = torch.linalg.cholesky(covariance + 1e-9 * torch.eye(len(mean), dtype=torch.float64))
@@ -130,11 +133,17 @@ def shape_sweep(prior: OmadPrior, category: Category, directions: int) -> ShapeS
     beta = torch.cat([mean[None], (mean + signs[:, None] * moves[:, None]).flatten(0, 1)])
     single = beta.to(prior.basis.dtype)
     joints, unit = prior.joints(single), category.metres_per_unit
+    keypoints, part_of = as_doubles(prior.keypoints(single)) * unit, np.array(category.part_of_keypoint)
+    if surfaces is None:
+        parts = [tuple(convex_hull(each[part_of == k]) for k in range(len(category.parts))) for each in keypoints]
+    else:
+        parts = surfaces.of_beta(beta.numpy())
     return ShapeSweep(
         category=category,
         share=(singular.square() / singular.square().sum())[:directions].numpy(),
         beta=beta.numpy(),
-        keypoints=as_doubles(prior.keypoints(single)) * unit,
+        keypoints=keypoints,
+        parts=tuple(parts),
         axes=as_doubles(joints.axes),
         pivots=as_doubles(joints.pivots) * unit,
     )
@@ -164,16 +173,15 @@ def draw_shapes(rows: Sequence[ShapeSweep]) -> Figure:
     for index, row in enumerate(rows):
         sheet.label(index, row.category.name)
         _draw_shape_row(row, [sheet.panel(index, column) for column in range(count)])
-    sheet.note("parts: convex hulls of the keypoints · percent: share of the keypoints' variance over objects")
+    sheet.note("surfaces: of known objects with near keypoints · percent: share of the keypoints' variance")
     return sheet.figure
 
 
 def _draw_shape_row(row: ShapeSweep, panels: Sequence[Axes]) -> None:
     category, part_of = row.category, np.array(row.category.part_of_keypoint)
     states, objects = opened(category.metric_limits), []
-    for keypoints, axes, pivots in zip(row.keypoints, row.axes, row.pivots, strict=True):
-        hulls = [convex_hull(keypoints[part_of == part]) for part in range(len(category.parts))]
-        objects.append(ObjectModel.of(category, category.name, hulls, axes, pivots))
+    for parts, axes, pivots in zip(row.parts, row.axes, row.pivots, strict=True):
+        objects.append(ObjectModel.of(category, category.name, parts, axes, pivots))
     vertices = np.concatenate([vertices for model in objects for vertices in model.posed_vertices(states)])
     T, crop = studio(vertices, ASPECT, foot=0.08)  # one scale for all, so that sizes compare
     for index, (model, panel) in enumerate(zip(objects, panels, strict=True)):

@@ -19,6 +19,7 @@ import torch
 
 from omad.common.arrays import Identity, load_arrays, save_arrays
 from omad.common.batches import progress
+from omad.common.user_cache import kept_at
 from omad.data.rendering.standard_views import View
 from omad.data.source import ViewSource
 from omad.objects.category import Category
@@ -98,26 +99,32 @@ class Predictor:
 
 
 def kept_or_made(
-    cache: Path,
+    cache: Path | None,
     data: Identity,
     predictors: Mapping[str, Predictor],
     category: Category,
     load: Callable[[], ViewSource],
 ) -> tuple[Truths, dict[str, Predictions]]:
     """From the ``cache`` as far as they are there; the rest is made, all predictors in turn on each view, and put
-    there. Raises InputError where the cache is of other data, weights or settings."""
+    there; without one it is the user's. Raises InputError where the cache is of other data, weights or settings."""
     made_of = {"truth": data} | {name: data | predictor.made_of for name, predictor in predictors.items()}
-    kept = {name: load_arrays(cache / f"{name}.npz", identity) for name, identity in made_of.items()}
+    files = {name: _file(cache, category, name, identity) for name, identity in made_of.items()}
+    kept = {name: load_arrays(files[name], identity) for name, identity in made_of.items()}
     arrays = {name: found for name, found in kept.items() if found is not None}
     if len(arrays) < len(kept):
         made = predict(load(), category, {name: p for name, p in predictors.items() if name not in arrays})
         for name, found in made.items():
-            save_arrays(cache / f"{name}.npz", made_of[name], **found)
+            save_arrays(files[name], made_of[name], **found)
         arrays |= made
     truth = arrays.pop("truth")
     poses = {name: (_poses("initial", a), _poses("refined", a)) for name, a in arrays.items()}
     said = {name: Predictions(*poses[name], a["seconds"], str(a["machine"])) for name, a in arrays.items()}
     return Truths(truth["objects"], truth["boxes"], _poses("true", truth)), said
+
+
+def _file(cache: Path | None, category: Category, name: str, made_of: Identity) -> Path:
+    kept = kept_at(cache, "predictions", name if cache else f"{category.name}-{name}", made_of)
+    return kept.with_name(f"{kept.name}.npz")
 
 
 def predict(

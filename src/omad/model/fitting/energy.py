@@ -33,15 +33,19 @@ class RefinementConfig:
     huber: float | None = 3.0
     """Keypoints further than this many sigmas from their targets pull linearly instead of quadratically."""
     max_iterations: int = 60
+    """Of the least squares."""
     step_tolerance: float = 1e-7
+    """Steps shorter than this end it."""
     cost_tolerance: float = 1e-10
     """See ``least_squares.TerminationConfig``."""
     trust_region: TrustRegionConfig = TrustRegionConfig()
+    """How far steps may go."""
     backend: Literal["auto", "torch", "kernel"] = "auto"
     """'auto': the fused kernel (always float64) on the CPU, torch (in the dtype of the targets) elsewhere."""
 
     @property
     def termination(self) -> TerminationConfig:
+        """When it ends."""
         return TerminationConfig(self.max_iterations, self.step_tolerance, self.cost_tolerance)
 
 

@@ -58,6 +58,7 @@ class Refined:
     """What became of B observations."""
 
     state: State
+    """The unknowns: shape, joint states, base pose."""
     covariance: Tensor
     """(B, P, P) of the unknowns in tangent coordinates (omega, t, theta, beta), from J^T J; zero for held ones, very
     large where a direction is not observed, NaN where a problem is broken."""

@@ -35,6 +35,7 @@ class Overlay:
     """The picture that an ``Agreement`` is taken of."""
 
     camera: Camera
+    """Of both images."""
     seen: np.ndarray
     """(H, W) metres that were measured, 0 where nothing was."""
     object: np.ndarray

@@ -12,9 +12,11 @@ from typing import Any, Self
 
 import numpy as np
 
-from omad.common.arrays import as_numpy
+from omad.common.arrays import as_numpy, digest_of
+from omad.common.decode import Shape
 from omad.common.errors import InputError
-from omad.common.files import one_line, write_atomic
+from omad.common.files import write_atomic
+from omad.common.incoming import read_arrays, readable
 from omad.data.procedural import generate
 from omad.geometry.mesh import Mesh
 from omad.objects.category import Category
@@ -23,7 +25,7 @@ from omad.objects.model import ObjectModel
 from ..prior import OmadPrior
 from .template import Template
 
-FILE = "surfaces.npz"
+FILE, CHECKSUM = "surfaces.npz", "sha256"
 """What a bank is called, in the folder of a checkpoint."""
 REMEMBERED = 256
 """Templates that are kept once they are made."""
@@ -48,14 +50,17 @@ class ShapeBank:
         return len(self.keypoints)
 
     @cached_property
-    def _of_part(self) -> tuple[slice, ...]:
+    def of_part(self) -> tuple[slice, ...]:
+        """Which of all keypoints are each part's."""
         ends = np.cumsum([0, *(part.keypoints for part in self.category.parts)]).tolist()
         return tuple(map(slice, ends, ends[1:]))
 
-    def nearest(self, keypoints: np.ndarray, count: int) -> np.ndarray:
-        """The ``count`` objects whose keypoints are nearest to ``keypoints`` (M, 3), nearest first."""
-        apart = np.square(self.keypoints - keypoints).sum((1, 2))
-        return np.argsort(apart, kind="stable")[:count]
+    def nearest(self, keypoints: np.ndarray, count: int, some: slice = slice(None)) -> tuple[np.ndarray, np.ndarray]:
+        """The ``count`` objects of whose keypoints ``some`` are nearest to those of ``keypoints`` (M, 3), nearest
+        first, and the RMS distances (count,)."""
+        apart = np.square(self.keypoints[:, some] - keypoints[some]).sum(2).mean(1)
+        found = np.argsort(apart, kind="stable")[:count]
+        return found, np.sqrt(apart[found])
 
     def template(self, index: int) -> Template:
         """Object ``index``; made at its first use."""
@@ -64,7 +69,7 @@ class ShapeBank:
             if len(self._made) >= REMEMBERED:
                 self._made.pop(next(iter(self._made)))
             unit, known = self.category.metres_per_unit, self.keypoints[index].astype(np.float64)
-            self._made[index] = Template.of(self._object(index), unit, known, self._of_part)
+            self._made[index] = Template.of(self._object(index), unit, known, self.of_part)
         return self._made[index]
 
     def _object(self, index: int) -> ObjectModel:
@@ -82,6 +87,7 @@ class ShapeBank:
             arrays["vertices"] = np.concatenate([part.vertices for part in parts]).astype(np.float32)
             arrays["faces"] = np.concatenate([part.faces for part in parts]).astype(np.int32)
             arrays["counts"] = np.array([(len(part.vertices), len(part.faces)) for part in parts])
+        arrays[CHECKSUM] = np.array(digest_of(arrays))
         path = folder / FILE
         write_atomic(path, lambda file: np.savez_compressed(file, allow_pickle=False, **arrays))
         return path
@@ -90,13 +96,16 @@ class ShapeBank:
     def load(cls, path: Path, category: Category, prior: OmadPrior) -> Self:
         """Read one that was made with ``prior``. Raises InputError for anything else."""
         cure = f"make it anew: omad train surface --category {category.name}"
-        try:
-            with np.load(path, allow_pickle=False) as file:
-                arrays = dict(file)
-            known, basis = arrays["keypoints"].astype(np.float32), arrays["basis"]
+        arrays = read_arrays(path, "a bank of surfaces", cure)
+        with readable(path, "a bank of surfaces", cure):
+            assert isinstance(arrays, dict)
+            if CHECKSUM in arrays and str(arrays.pop(CHECKSUM)) != digest_of(arrays):
+                raise InputError(f"{path}: is damaged (its numbers do not give its checksum); {cure}")
+            wanted = Shape(None, category.num_keypoints, 3)
+            known, basis = wanted.array(arrays["keypoints"]).astype(np.float32), arrays["basis"]
             meshes = _meshes(arrays, len(category.parts))
-        except (OSError, ValueError, KeyError) as error:
-            raise InputError(f"{path}: damaged or not a bank of surfaces ({one_line(error)}); {cure}") from error
+            if not len(known) or (meshes and len(meshes) != len(known)):
+                raise ValueError("keypoints and meshes are not of the same objects")
         mine = as_numpy(prior.learned_basis)
         if basis.shape != mine.shape or not np.allclose(basis, mine, rtol=0, atol=ROUNDED):
             raise InputError(f"{path}: was made with another prior than these weights; {cure}")
@@ -113,11 +122,18 @@ class ShapeBank:
 
 
 def _meshes(arrays: dict[str, np.ndarray], parts: int) -> list[tuple[Mesh, ...]]:
+    """Raises anything for arrays that do not fit together."""
     if "counts" not in arrays:
         return []
-    ends = np.cumsum(arrays["counts"], 0)[:-1]
-    vertices, faces = np.split(arrays["vertices"], ends[:, 0]), np.split(arrays["faces"], ends[:, 1])
-    each = [Mesh(v.astype(np.float64), f.astype(np.int64)) for v, f in zip(vertices, faces, strict=True)]
+    counts, vertices, faces = arrays["counts"], Shape(None, 3).array(arrays["vertices"]), arrays["faces"]
+    whole = len(counts) % parts == 0 and counts.min() > 0 and counts.sum(0).tolist() == [len(vertices), len(faces)]
+    if not whole or faces.dtype.kind != "i" or faces.ndim != 2 or faces.shape[1] != 3:
+        raise ValueError("counts")
+    ends = np.cumsum(counts, 0)[:-1]
+    split = zip(np.split(vertices, ends[:, 0]), np.split(faces, ends[:, 1]), strict=True)
+    each = [Mesh(v, f.astype(np.int64)) for v, f in split]
+    if not all(mesh.faces.min() >= 0 and mesh.faces.max() < len(mesh.vertices) for mesh in each):
+        raise ValueError("faces")
     return [tuple(each[i : i + parts]) for i in range(0, len(each), parts)]
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -21,6 +21,7 @@ from ..prior import OmadPrior
 from .bank import ShapeBank, bank_beside
 from .fitting import Cloud, FitConfig, SurfaceFit
 from .placed import Placed
+from .template import Template
 
 
 @dataclass(frozen=True)
@@ -31,6 +32,10 @@ class PosedSurface:
     """Canonical space at rest, metres."""
     placed: ObjectPose
     """Metres, camera frame."""
+
+    def mirrored(self, turning: Sequence[bool]) -> Self:
+        """Their image in the camera's plane x = 0; ``turning`` as ``Category`` has it."""
+        return type(self)(tuple(part.mirrored() for part in self.parts), self.placed.mirrored(turning))
 
     def posed(self) -> tuple[Mesh, ...]:
         """Each part's surface where it is, camera frame."""
@@ -43,6 +48,8 @@ class SurfaceConfig:
 
     candidates: int = 24
     """Objects with the nearest keypoints, that are held against the cloud."""
+    part_candidates: int = 12
+    """Objects in which the keypoints of the base, or of all that moves, are nearest: these parts may be theirs."""
     likeness: float = 0.2
     """What the RMS distance of an object's own keypoints from the estimate's counts beside its distance from the
     cloud: it speaks of what is hidden."""
@@ -81,7 +88,7 @@ class Surfaces:
         the nearest ones, carried along."""
         unit = self.category.metres_per_unit
         keypoints = canonical_keypoints / unit
-        template = self.bank.template(self.bank.nearest(keypoints, 1)[0])
+        template = self.bank.template(self.bank.nearest(keypoints, 1)[0][0])
         return _in_metres(template.at(keypoints), unit)
 
     def of_beta(self, beta: np.ndarray) -> list[tuple[Mesh, ...]]:
@@ -95,8 +102,9 @@ class Surfaces:
         """The surface of an object that was found in a cloud (N, 3), camera frame, metres, with parts ``labels`` (N,),
         below zero where none. ``covariance`` (P, P) of what was found: metres and radians.
 
-        Objects with near keypoints are held against the cloud, and the best one is fitted to it, with pose and joint
-        states. Without any point of the object the nearest one is carried over."""
+        Objects with near keypoints are held against the cloud, and the best is fitted to it, with pose and joint
+        states; its base and what moves may be of two objects. Without any point of the object the nearest one
+        is carried over."""
         unit, config = self.category.metres_per_unit, self.config
         cloud = Cloud.of(points / unit, labels, config.fit.most)
         if cloud is None or not np.isfinite(covariance).all():
@@ -106,13 +114,29 @@ class Surfaces:
         start = self._state(found)
         fit = SurfaceFit.of(self._doubles, limits, start, covariance / scale[:, None] / scale, cloud, config.fit)
         placed = fit.begin()
-        placed = fit(placed, self.bank.template(self.bank.nearest(placed.keypoints, 1)[0]))
-        near = self.bank.nearest(placed.keypoints, config.candidates)
-        unlike = np.sqrt(np.square(self.bank.keypoints[near] - placed.keypoints).sum(2).mean(1))
-        apart = [fit.apart(placed, self.bank.template(index)) for index in near]
-        best = self.bank.template(near[np.argmin(apart + config.likeness * unlike)])
+        placed = fit(placed, self.bank.template(self.bank.nearest(placed.keypoints, 1)[0][0]))
+        best = self._chosen(fit, placed)
         placed = fit(placed, best)
         return PosedSurface(_in_metres(best.at(placed.keypoints), unit), self._metric(placed))
+
+    def _chosen(self, fit: SurfaceFit, placed: Placed) -> Template:
+        """Of the objects with near keypoints the one that lies best on the cloud; then the base, and all that moves,
+        each of that object with which the whole lies best, of those in which their keypoints are near."""
+        bank, config, base = self.bank, self.config, self.bank.of_part[0].stop
+        near, unlike = bank.nearest(placed.keypoints, config.candidates)
+        found = [bank.template(index) for index in near]
+        best = found[self._least(fit, placed, found, unlike)]
+        for some, keypoints in ((slice(1), slice(base)), (slice(1, None), slice(base, None))):
+            near, unlike = bank.nearest(placed.keypoints, config.part_candidates, keypoints)
+            found = [best, *(best.with_parts(some, bank.template(index)) for index in near)]
+            off = np.concatenate([part.known for part in best.parts[some]]) - placed.keypoints[keypoints]
+            own = np.sqrt(np.square(off).sum(1).mean())
+            best = found[self._least(fit, placed, found, np.append(own, unlike))]
+        return best
+
+    def _least(self, fit: SurfaceFit, placed: Placed, found: list[Template], unlike: np.ndarray) -> int:
+        apart = [fit.apart(placed, template) for template in found]
+        return int(np.argmin(apart + self.config.likeness * unlike))
 
     def _state(self, found: PosedObject) -> State:
         T = found.placed.T_camera_part[0].copy()

@@ -48,6 +48,8 @@ class PartTemplate:
 
     keypoints: slice
     """Which of all keypoints carry it."""
+    known: np.ndarray
+    """(m, 3) where they are on the object that it comes from."""
     faces: np.ndarray
     """(F, 3)."""
     vertices: Skin
@@ -59,9 +61,15 @@ class PartTemplate:
 
 @dataclass(frozen=True)
 class Template:
-    """A known object."""
+    """A known object, or parts of several."""
 
     parts: tuple[PartTemplate, ...]
+
+    def with_parts(self, some: slice, other: Self) -> Self:
+        """The same with ``some`` parts of another one."""
+        parts = list(self.parts)
+        parts[some] = other.parts[some]
+        return type(self)(tuple(parts))
 
     @classmethod
     def of(cls, model: ObjectModel, unit: float, keypoints: np.ndarray, of_part: tuple[slice, ...]) -> Self:
@@ -74,7 +82,7 @@ class Template:
         for part, (mesh, own) in enumerate(zip(model.parts, of_part, strict=True)):
             inside, known = labels == part, keypoints[own]
             skins = Skin.of(mesh.vertices / unit, known), Skin.of(points[inside], known)
-            parts.append(PartTemplate(own, mesh.faces, *skins, normals[inside]))
+            parts.append(PartTemplate(own, known, mesh.faces, *skins, normals[inside]))
         return cls(tuple(parts))
 
     def at(self, keypoints: np.ndarray) -> tuple[Mesh, ...]:

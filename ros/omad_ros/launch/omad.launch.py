@@ -1,0 +1,19 @@
+"""ros2 launch omad_ros omad.launch.py category:=laptop depth:=/camera/depth/image_rect_raw
+info:=/camera/depth/camera_info"""
+
+from launch import LaunchDescription
+from launch.actions import DeclareLaunchArgument
+from launch.substitutions import LaunchConfiguration
+from launch_ros.actions import Node
+
+TOPICS = {"depth": "/camera/depth/image_rect_raw", "info": "/camera/depth/camera_info", "mask": "/mask"}
+
+
+def generate_launch_description() -> LaunchDescription:
+    told = [DeclareLaunchArgument(name, default_value=topic) for name, topic in TOPICS.items()]
+    told += [DeclareLaunchArgument("category", default_value="laptop")]
+    told += [DeclareLaunchArgument("use_mask", default_value="false")]
+    parameters = {name: LaunchConfiguration(name) for name in ("category", "use_mask")}
+    remappings = [(name, LaunchConfiguration(name)) for name in TOPICS]
+    node = Node(package="omad_ros", executable="omad_node", parameters=[parameters], remappings=remappings)
+    return LaunchDescription([*told, node])

@@ -1,0 +1,87 @@
+"""The node: ``ros2 run omad_ros omad_node --ros-args -p category:=laptop -r depth:=... -r info:=...``
+
+Subscribes ``depth`` (sensor_msgs/Image, 16UC1 millimetres or 32FC1 metres), ``info`` (sensor_msgs/CameraInfo of that
+image) and with ``use_mask`` ``mask`` (sensor_msgs/Image, not zero on the object). Publishes ``joint_states``
+(sensor_msgs/JointState), ``markers`` (visualization_msgs/MarkerArray) and transforms from the camera to the links.
+"""
+
+from typing import Any
+
+import rclpy
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import Point, Pose, Quaternion, Transform, TransformStamped, Vector3
+from message_filters import ApproximateTimeSynchronizer, Subscriber
+from rclpy.node import Node
+from rclpy.qos import qos_profile_sensor_data
+from sensor_msgs.msg import CameraInfo, Image, JointState
+from std_msgs.msg import ColorRGBA, Header
+from tf2_ros import TransformBroadcaster
+from visualization_msgs.msg import Marker, MarkerArray
+
+from omad.common.errors import InputError
+from omad.estimation.estimator import Estimator
+
+from .messages import Messages
+from .perception import Perception
+
+CLASSES = {
+    "builtin_interfaces": (Time,),
+    "geometry_msgs": (Point, Pose, Quaternion, Transform, TransformStamped, Vector3),
+    "sensor_msgs": (JointState,),
+    "std_msgs": (ColorRGBA, Header),
+    "visualization_msgs": (Marker, MarkerArray),
+}
+QUEUE, APART = 4, 0.05
+"""Messages kept, and seconds that those of one moment may be apart."""
+DEFAULTS = {"category": "laptop", "weights": "", "use_mask": False, "track": True}
+
+
+class OmadNode(Node):
+    """Answers each depth image."""
+
+    def __init__(self) -> None:
+        super().__init__("omad")
+        told = {name: self.declare_parameter(name, default).value for name, default in DEFAULTS.items()}
+        estimator = Estimator.from_pretrained(told["weights"] or told["category"], "cpu")
+        self.perception = Perception(estimator, told["track"])
+        types = {f"{package}/msg/{kind.__name__}": kind for package, kinds in CLASSES.items() for kind in kinds}
+        self.messages = Messages(types)
+        self.states = self.create_publisher(JointState, "joint_states", QUEUE)
+        self.markers = self.create_publisher(MarkerArray, "markers", QUEUE)
+        self.broadcaster = TransformBroadcaster(self)
+        topics = [(Image, "depth"), (CameraInfo, "info")] + [(Image, "mask")] * told["use_mask"]
+        seen = [Subscriber(self, kind, name, qos_profile=qos_profile_sensor_data) for kind, name in topics]
+        self.synchronizer = ApproximateTimeSynchronizer(seen, QUEUE, APART)
+        self.synchronizer.registerCallback(self.answer)
+
+    def answer(self, depth: Any, info: Any, mask: Any = None) -> None:
+        """Publish what is seen; of an object that is not, that it is gone."""
+        try:
+            estimate = self.perception(depth, info, mask)
+        except InputError as error:
+            self.get_logger().error(str(error), throttle_duration_sec=5.0)
+            return
+        header, make = depth.header, self.messages
+        if estimate is None:
+            self.markers.publish(make.nothing(header))
+            return
+        self.states.publish(make.joint_state(estimate, header))
+        self.broadcaster.sendTransform(make.transforms(estimate, header))
+        self.markers.publish(make.markers(estimate, header))
+
+
+def main() -> None:
+    """Run until it is interrupted."""
+    rclpy.init()
+    node = OmadNode()
+    try:
+        rclpy.spin(node)
+    except KeyboardInterrupt:
+        pass
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown()
+
+
+if __name__ == "__main__":
+    main()

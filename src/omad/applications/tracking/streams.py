@@ -1,0 +1,65 @@
+"""Frames of folders, recordings and cameras, read alike."""
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from omad.common.errors import InputError, named
+from omad.sensing.foreign.bags import RecordedFrame, Topics, read_bag
+from omad.sensing.input_options import FrameOptions, InputOptions
+from omad.sensing.observation import Observation
+from omad.sensing.reader import Find, InputReader
+
+from .frames import FrameFile
+
+
+@dataclass
+class FrameReader:
+    """Reads each frame as the options say; what they say of all frames is read with the first one."""
+
+    options: InputOptions
+    frame: FrameOptions
+    find: Find
+    """Cuts the object out where the options do not say where it is."""
+    _reader: InputReader | None = field(init=False, default=None)
+    _size: str = field(init=False, default="")
+
+    def __call__(self, frame: FrameFile) -> Observation:
+        """Raises InputError, also for a frame of another size than the ones before."""
+        if self._reader is None:
+            files = [frame.path] if frame.source is None else []
+            self._reader = replace(InputReader.of(self.options, files, self.frame), find=self._cut_out)
+        reader, source = self._reader, frame.source
+        with named(frame.path):
+            if source is None:
+                return self._of_one_size(reader(frame.path))
+            mask = source.mask if source.mask is not None or isinstance(reader.mask, Path) else reader.mask
+            return self._of_one_size(reader.observe(source.depth, mask, reader.camera or source.camera, source.color))
+
+    def _cut_out(self, seen: Observation, box: Sequence[float] | None) -> Observation:
+        return self.find(self._of_one_size(seen), box)
+
+    def _of_one_size(self, seen: Observation) -> Observation:
+        if seen.depth is not None:
+            height, width = seen.depth.shape
+            self._size = self._size or f"{width}x{height}"
+            if (size := f"{width}x{height}") != self._size:
+                raise InputError(
+                    f"is {size}, earlier frames are {self._size}; intrinsics hold for one size, track them apart"
+                )
+        return seen
+
+
+def recorded(path: Path, topics: Topics) -> Iterator[FrameFile]:
+    """The frames of a recording; times count from the first one."""
+    return taken(read_bag(path, topics))
+
+
+def taken(frames: Iterable[RecordedFrame]) -> Iterator[FrameFile]:
+    """Frames as they come; times count from the first one, and a frame that is no later than the last is left out."""
+    first, last = None, -1.0
+    for frame in frames:
+        first = frame.time if first is None else first
+        if (time := frame.time - first) > last:
+            last = time
+            yield FrameFile(Path(frame.name), time, frame)

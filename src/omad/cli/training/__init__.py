@@ -1,0 +1,1 @@
+"""The training commands: one network each, or all that a category needs."""

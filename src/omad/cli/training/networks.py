@@ -1,0 +1,279 @@
+"""A training a command: prior, network, confidence, surfaces, baselines."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import omad
+from omad.common.errors import InputError
+from omad.common.lazy import lazy_imports
+
+from ..answer import Answer
+from ..options import (
+    BrokenFiles,
+    CategoryCommand,
+    CategoryName,
+    Device,
+    Json,
+    Seed,
+    check_category,
+    check_positive,
+    check_seed,
+    load_prior,
+    use_threads,
+)
+
+with lazy_imports():
+    from omad.common.runtime import pick_device
+    from omad.data.clutter.settings import Clutter
+    from omad.data.source import load_models, load_objects
+    from omad.data.training_views import ViewSettings
+    from omad.evaluation.baselines.ancsh.training import AncshTraining, train_ancsh
+    from omad.evaluation.baselines.siamese import SiameseTraining, train_siamese
+    from omad.evaluation.confidence import fitting
+    from omad.model.backbones import BackboneConfig, get_backbone
+    from omad.model.checkpoint import Network, find_weights, load, save, shipped_categories, training_record
+    from omad.model.omadnet import OmadNet
+    from omad.model.priornet import PriorNet
+    from omad.training.loop import Schedule
+    from omad.training.train_net import NetLossWeights, NetTraining, train_net
+    from omad.training.train_prior import PriorTraining, train_prior
+    from omad.training.train_surfaces import surface_bank
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Training:
+    """What all trainings share."""
+
+    category: CategoryName
+    output: Path
+    """Folder for the checkpoint, the state to resume from, and the metrics. The same command resumes."""
+    source: str = "procedural"
+    """procedural, a generator of your own (.py, which is run), a folder of URDF / PartNet-Mobility models, or an
+    ArtImage root (its train split)."""
+    objects: int = 1000
+    """Procedural objects."""
+    variants: int = 300
+    """Models of your own, where they are fewer, are varied until there are so many: stretched, with other proportions,
+    with parts of each other. 0: train on them alone."""
+    broken: BrokenFiles = "refuse"
+    steps: int | None = None
+    """Optimiser steps; default: the preset's."""
+    batch: int | None = None
+    """Samples a step; default: the preset's."""
+    learning_rate: float | None = None
+    """Peak learning rate; default: the preset's. Half of it serves for fine-tuning."""
+    max_minutes: float | None = None
+    """Finish within this time, learning-rate decay and all."""
+    save_seconds: float = 60.0
+    """How often the state to resume from is written; on Ctrl-C and SIGTERM it is, too."""
+    seed: Seed = 0
+    threads: int = 0
+    """CPU threads; 0: PyTorch's choice. One is faster than two where another program computes."""
+    device: Device = "auto"
+    json: Json = False
+
+    def learn(self, train: Callable[..., Network], preset: Any, **start: Any) -> Answer:
+        """Train with the ``preset``, but for what the options say otherwise, and save it. Raises InputError."""
+        asked = {"steps": self.steps, "batch": self.batch, "learning_rate": self.learning_rate}
+        check_positive(objects=self.objects, max_minutes=self.max_minutes, save_seconds=self.save_seconds, **asked)
+        check_seed(self.seed)
+        use_threads(self.threads)
+        category, device = omad.get_category(self.category), pick_device(self.device)
+        models = load_objects(self.source, category, self.objects, "train", 0, self.broken, self.variants)
+        given = {name: value for name, value in asked.items() if value is not None}
+        schedule = replace(
+            preset.schedule, seed=self.seed, max_minutes=self.max_minutes, save_seconds=self.save_seconds, **given
+        )
+        start |= {"folder": self.output, "settings": replace(preset, schedule=schedule), "device": device}
+        net = train(models=models, category=category, **start)
+        save(net, self.output, self.record(schedule))
+        return Answer({"checkpoint": str(self.output)})
+
+    def record(self, schedule: Schedule) -> dict[str, Any]:
+        """What a checkpoint remembers of its training."""
+        made_of = {"source": self.source, "objects": self.objects, "variants": self.variants}
+        return made_of | {"schedule": asdict(schedule), "version": omad.__version__}
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainPrior(_Training):
+    """Learn a category's prior (shape basis, joint function) from complete clouds, without keypoint labels."""
+
+    initial: Path | None = None
+    """Prior to fine-tune, on more objects than it was trained on. Its keypoints keep their meaning, so that networks
+    trained with it can be fine-tuned with the new one (train net --initial)."""
+
+    def run(self) -> Answer:
+        initial = None if self.initial is None else load_prior(self.initial, "cpu")
+        if initial is not None:
+            check_category("--initial", self.initial, initial.category, self.category)
+        return self.learn(train_prior, PriorTraining(), initial=initial)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainSurface:
+    """Make the bank of objects that estimates take their surfaces from: no training, a minute or two. To be made anew
+    whenever the prior or the procedural generator changes."""
+
+    category: CategoryName
+    weights: Path | None = None
+    """OMADNet checkpoint folder that the bank is for, and is put into; default: the shipped one."""
+    prior: Path | None = None
+    """Checkpoint folder of its prior; default: prior/ in the weights' folder, or the shipped one."""
+    source: str = "procedural"
+    """procedural, or a generator of your own (.py) or a folder of models, which are kept with their meshes."""
+    objects: int = 1000
+    """Procedural objects."""
+    threads: int = 0
+    """CPU threads; 0: PyTorch's choice."""
+    device: Device = "auto"
+    json: Json = False
+
+    def run(self) -> Answer:
+        check_positive(objects=self.objects)
+        use_threads(self.threads)
+        folder = find_weights(self.weights or self.category)
+        own = folder / "prior"
+        shipped = self.prior or (own if own.is_dir() else find_weights(self.category) / "prior")
+        net = load(PriorNet, shipped).to(pick_device(self.device))
+        check_category("--prior", shipped, net.category, self.category)
+        models = load_models(self.source, net.category, self.objects, "train", 0).models
+        bank = surface_bank(net, models, generated=self.source == "procedural")
+        path = bank.save(folder)
+        return Answer({"file": str(path), "objects": len(bank), "bytes": path.stat().st_size})
+
+
+@dataclass(frozen=True, kw_only=True)
+class _NetTraining(_Training):
+    """What the trainings of networks with OMADNet's backbone share."""
+
+    initial: str | None = None
+    """OMADNet checkpoint to start from, or a category with weights: all of it to fine-tune (with the same prior); of
+    another category, what it knows of clouds; its backbone for a baseline, that then has had its training, too."""
+    size: str = "slim"
+    """Of the backbone; slim: fast on a CPU; paper: the paper's PointNet++."""
+
+    def backbone(self) -> BackboneConfig:
+        return get_backbone(self.size)
+
+    def load_start(self, option: str, weights: str | None) -> OmadNet | None:
+        if weights is None:
+            return None
+        net = load(OmadNet, find_weights(weights))
+        if net.backbone.config != self.backbone():
+            raise InputError(f"{option} {weights}: is not of the size {self.size}; change --size")
+        return net
+
+    def record(self, schedule: Schedule) -> dict[str, Any]:
+        return super().record(schedule) | begun_with("initial", self.initial)
+
+
+def begun_with(name: str, weights: str | None) -> dict[str, Any]:
+    """What a checkpoint remembers of the network that its training began with, by the option's name."""
+    if weights is None:
+        return {}
+    folder = find_weights(weights)
+    return {name: {"category": load(OmadNet, folder).category.name, **training_record(OmadNet, folder)}}
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainAncsh(_NetTraining):
+    """Train the baseline A-NCSH as OMADNet is trained: same views, backbone and schedule, but no prior."""
+
+    def run(self) -> Answer:
+        return self.learn(
+            train_ancsh, AncshTraining(backbone=self.backbone()), initial=self.load_start("--initial", self.initial)
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainSiamese(_NetTraining):
+    """Train the Siamese baseline of retrieval: same views, backbone and schedule as OMADNet, but no prior."""
+
+    def run(self) -> Answer:
+        return self.learn(
+            train_siamese, SiameseTraining(backbone=self.backbone()), initial=self.load_start("--initial", self.initial)
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainNet(_NetTraining):
+    """Train OMADNet on endless views of a category's objects."""
+
+    prior: Path | None = None
+    """Checkpoint folder of the prior; default: the shipped one."""
+    features: str | None = None
+    """OMADNet checkpoint, or a category with weights, to take over what it knows of clouds from: of any category, and
+    with any prior."""
+    attention: bool = True
+    """no-attention: all votes for a keypoint count alike, for comparison."""
+    refinement_loss: float = 0.0
+    """Weight of the refined answer's own error, for fine-tuning with --initial (6 is good); from nothing, it only
+    disturbs."""
+    clutter: bool = False
+    """Views spoilt as the world spoils them: masks too wide or too narrow, wrong depth, things in front, objects cut
+    off. The network learns which points are not on the object, and the estimator drops them."""
+
+    def run(self) -> Answer:
+        weights = NetLossWeights(refinement=self.refinement_loss)
+        views = ViewSettings(clutter=Clutter() if self.clutter else None)
+        preset = NetTraining(backbone=self.backbone(), weights=weights, attention=self.attention, views=views)
+        if self.features is not None and self.initial is not None:
+            raise InputError("--features: does not go with --initial, which takes over all; give one of them")
+        begun = self.load_start("--features", self.features)
+        start = self.load_start("--initial", self.initial)
+        if start is not None and start.category.name != omad.get_category(self.category).name:
+            start, begun = None, start
+        if start is not None:
+            check_category("--initial", self.initial, start.category, self.category)
+        return self.learn(train_net, preset, priornet=self._prior(), initial=start, features=begun)
+
+    def record(self, schedule: Schedule) -> dict[str, Any]:
+        record = super().record(schedule) | {"refinement_loss": self.refinement_loss, "clutter": self.clutter}
+        return record | begun_with("features", self.features)
+
+    def _prior(self) -> PriorNet:
+        if self.prior is None and omad.get_category(self.category).name not in shipped_categories():
+            cure = "run omad train prior, then give --prior its folder"
+            raise InputError(f"{self.category} has no shipped prior: {cure}")
+        prior = load(PriorNet, self.prior or find_weights(self.category) / "prior")
+        check_category("--prior", self.prior, prior.category, self.category)
+        return prior
+
+
+UNSEEN = 1
+"""Seed of procedural objects that are of the training split, but not those that networks are trained on."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainConfidence(CategoryCommand):
+    """Learn how far to believe a network's answers: intervals of joint states, and the probability that an answer is
+    right. From views of objects that the network has not seen, spoilt at random, and of other things; a few minutes.
+    Writes confidence.json into the checkpoint folder, in place of what is there."""
+
+    source: str = "procedural"
+    """procedural, or a folder of URDF / PartNet-Mobility models; best of such that the network was not trained on."""
+    objects: int = 1000
+    """Procedural objects."""
+    views: int = 2000
+    """To fit on."""
+    seed: Seed = 0
+    threads: int = 1
+    """CPU threads; 0: PyTorch's choice."""
+
+    def run(self) -> Answer:
+        check_positive(objects=self.objects, views=self.views)
+        use_threads(self.threads)
+        folder = find_weights(self.weights or self.category)
+        estimator = self.estimator()
+        category = estimator.category
+        models = load_models(self.source, category, self.objects, "train", UNSEEN).models
+        answers = fitting.answered(estimator, models, self.views, self.seed)
+        confidence = fitting.fit(answers, category, fitting.FittedTo(self.source, self.views, omad.__version__))
+        confidence.save(folder)
+        record = {"checkpoint": str(folder), "views": self.views, **fitting.measured(confidence, answers, category)}
+        return Answer(record)

@@ -1,0 +1,1 @@
+"""Random appliances of kitchens and laundries."""

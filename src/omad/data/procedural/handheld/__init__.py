@@ -1,0 +1,1 @@
+"""Random things to hold in a hand or to have on a desk."""

@@ -1,0 +1,97 @@
+"""Random staplers: a base, a lid hinged at its back, and a magazine that swings out of the lid."""
+
+import numpy as np
+
+from omad.geometry.mesh import Mesh, merge_meshes
+from omad.objects.category import Category
+
+from ..shapes import JointedParts, X, box, cylinder, ellipse, points, rounded_rectangle, spline, sweep, taper
+
+
+def generate(rng: np.random.Generator, category: Category, unusual: np.random.Generator | None) -> JointedParts:
+    """One stapler with lid and magazine parallel to its base, which stands on y = 0; the front is at +z."""
+    length, width = rng.uniform(0.1, 0.19), rng.uniform(0.02, 0.042)
+    plate, gap = rng.uniform(0.003, 0.014), rng.uniform(0.002, 0.012)
+    tall, cover = rng.uniform(0.006, 0.013), rng.uniform(0.008, 0.024)  # of the magazine, of the lid
+    back, front = -length / 2, length / 2
+    inside = width * rng.uniform(0.5, 0.8)
+    low = plate + gap
+    hinge_y = low + tall * rng.uniform(0.2, 1.2)
+    hinge_z = back + length * rng.uniform(0.03, 0.12)
+    base = _base(rng, width, length, plate, low, hinge_y, hinge_z)
+
+    reach = length * rng.uniform(0.86, 1.05)
+    ahead = min(hinge_z + reach, front + 0.006)
+    sunk = tall * rng.uniform(0.0, 0.7)  # how far the lid comes down beside the magazine
+    wall = 0.5 * (width * rng.uniform(0.85, 1.0) - inside)
+    top, sill = low + tall + cover, low + tall - sunk
+    tail = hinge_z - rng.uniform(0.2, 0.9) * min(hinge_z - back, max(hinge_y - plate, 0.001))  # comes down behind
+    lid = _lid(rng, inside + 2 * wall, low + tall + 0.0004, top, tail, ahead)
+    for inner, outer in (
+        (0.5 * inside + 0.1 * wall, 0.5 * inside + wall),
+        (-0.5 * inside - wall, -0.5 * inside - 0.1 * wall),
+    ):
+        lid.append(box((inner, sill, tail), (outer, low + tall + 0.002, 0.9 * ahead)))
+
+    start = hinge_z + rng.choice([0.0, rng.uniform(0.0, 0.3)]) * length
+    end = ahead - rng.uniform(0.0, 0.06) * length
+    half, side = 0.46 * inside, 0.0012
+    magazine = [
+        box((-half, low, start), (half, low + side, end)),
+        box((-half, low, end - side), (half, low + tall, end)),
+    ]
+    magazine += [box((s * half - side / 2, low, start), (s * half + side / 2, low + tall, end)) for s in (-1, 1)]
+    if rng.random() < 0.5:  # filled
+        magazine.append(box((-0.9 * half, low, start), (0.9 * half, low + 0.8 * tall, end - 0.3 * (end - start))))
+    if rng.random() < 0.5:  # where staples leave it
+        magazine.append(box((-0.9 * half, low - 0.3 * gap, end - 0.008), (0.9 * half, low + tall, end)))
+    pin = cylinder((-0.5 * inside - wall, hinge_y, hinge_z), (0.5 * inside + wall, hinge_y, hinge_z), 0.0012, 8)
+    second = np.array([0.0, low + 0.5 * tall, max(start, hinge_z)])
+    pivots = np.array([[0.0, hinge_y, hinge_z], second if rng.random() < 0.5 else [0.0, hinge_y, hinge_z]])
+    return JointedParts((merge_meshes(base), merge_meshes([*lid, pin]), merge_meshes(magazine)), pivots)
+
+
+def _base(rng: np.random.Generator, width, length, plate, low, hinge_y, hinge_z) -> list[Mesh]:
+    """A plate, flat or wedge-shaped or round at its ends, with an anvil, and cheeks that hold the hinge."""
+    z = np.linspace(-length / 2, length / 2, 10)
+    u = np.abs(2 * z / length) ** rng.uniform(4.0, 12.0)
+    wide = width * (1 - rng.uniform(0.0, 0.5) * u)
+    tall = plate * np.linspace(1.0, rng.uniform(0.5, 1.0), 10)
+    path = points(0.0, tall / 2, z)
+    base = [sweep(path, np.cross([0, 0, 1.0], X), taper(rounded_rectangle(1.0, 1.0, 0.15, 2), wide, tall))]
+    at = length * rng.uniform(0.36, 0.44)
+    base.append(box((-0.3 * width, 0.3 * plate, at - 0.008), (0.3 * width, plate * 0.9 + 0.001, at + 0.005)))
+    outer, thick = 0.5 * width + 0.0015, rng.uniform(0.0008, 0.002)
+    long = rng.uniform(0.006, 0.016)
+    for s in (-1, 1):
+        x = s * outer
+        base.append(
+            box(
+                (min(x, x + s * thick), 0.4 * plate, hinge_z - long),
+                (max(x, x + s * thick), hinge_y + 0.003, hinge_z + long),
+            )
+        )
+    base.append(box((-outer - thick, 0.2 * plate, hinge_z - long), (outer + thick, 0.7 * plate, hinge_z + long)))
+    if rng.random() < 0.4:  # the spring between base and magazine
+        x = 0.2 * width
+        base.append(
+            box((-x, 0.5 * plate, hinge_z + long), (x, plate + 0.3 * (low - plate), hinge_z + long + 0.2 * length))
+        )
+    return base
+
+
+def _lid(rng: np.random.Generator, width, low, top, tail, ahead) -> list[Mesh]:
+    """A bar that is arched from back to front, round or angular in section."""
+    z = np.linspace(tail, ahead, 14)
+    u = np.linspace(0.0, 1.0, 14)
+    rise = spline(
+        [[0.0, rng.uniform(0.4, 0.9)], [0.5, rng.uniform(0.75, 1.0)], [0.85, 1.0], [1.0, rng.uniform(0.3, 0.9)]], 14
+    )[:, 1]
+    high = (top - low) * np.clip(rise, 0.25, 1.0)
+    wide = width * (1 - rng.uniform(0.0, 0.4) * u ** rng.uniform(3.0, 10.0))
+    section = rounded_rectangle(1.0, 1.0, rng.uniform(0.05, 0.45), 3) if rng.random() < 0.8 else ellipse(0.55, 0.5, 14)
+    path = points(0.0, low + high / 2, z)
+    solid = sweep(points(0.0, 0.0, z), np.array([0.0, 1.0, 0.0]), taper(section, wide, high))
+    lift = np.repeat(path[:, 1], len(section))
+    lift = np.concatenate([lift, [path[0, 1], path[-1, 1]]])
+    return [solid.warped(lambda vertices: vertices + points(0.0, lift, 0.0))]

@@ -1,0 +1,1 @@
+"""Random things that hold other things: furniture with doors and drawers, boxes, bins, jars."""

@@ -1,0 +1,94 @@
+"""Random cabinets with one door or with two: wardrobes, kitchen units, lockers, sideboards with open shelves."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from omad.geometry.mesh import Mesh, merge_meshes
+from omad.objects.category import Category
+
+from ..shapes import JointedParts, box, slab
+from ..vocabulary.cases import Case, Rect, shelves
+from ..vocabulary.doors import fitted, leaf, pivot_at_side
+from ..vocabulary.handles import handle
+from ..vocabulary.stands import stand
+
+
+def generate(rng: np.random.Generator, category: Category, unusual: np.random.Generator | None) -> JointedParts:
+    """One cabinet, shut; as many doors as the category has joints, the first hinged at the left, the second at the
+    right. What is above y = base is the body, its front plane at z = 0, the room at +z."""
+    pair = len(category.joints) == 2
+    width = rng.uniform(0.55, 1.2) if pair else rng.choice([rng.uniform(0.36, 0.75), rng.uniform(0.6, 1.1)])
+    tall = rng.uniform(0.5, 1.3) * width if rng.random() < 0.5 else rng.uniform(1.2, 3.2 if pair else 4.0) * width
+    depth = rng.uniform(0.3, 0.65)
+    wall, thickness = rng.uniform(0.008, 0.035), rng.uniform(0.01, 0.035)
+    base = rng.choice([0.0, rng.uniform(0.02, 0.12), rng.uniform(0.05, 0.25)])
+    tall = float(np.clip(tall, 0.6, (1.8 if pair else 1.65) - base))
+    beside, stack = _open_parts(rng, width, tall, pair)
+    case = Case(width, base + tall, depth, wall, wall + beside, wall + stack[0], wall + stack[1], 0.4 * wall, base)
+    outer = case.front
+    outer = replace(outer, x1=outer.x1 - beside, y0=outer.y0 + stack[0], y1=outer.y1 - stack[1])
+    door, body = fitted(rng, outer, case.mouth, thickness, 0.35)
+    framed = bool(body)
+    body += _carcass(rng, case, beside, stack, wall)
+    if base > 0.015:
+        body += stand(rng, width / 2, depth, base)
+    if rng.random() < 0.5:
+        over, side = thickness * rng.uniform(0.0, 1.3), rng.choice([0.0, rng.uniform(0.0, 0.03)])
+        low, high = (-width / 2 - side, base + tall, -depth), (width / 2 + side, base + tall + wall, over)
+        body.append(slab(low, high, 1, rng.uniform(0.0, 0.01)))
+    return _hung(rng, body, door, thickness, framed, pair)
+
+
+def _hung(
+    rng: np.random.Generator, body: list[Mesh], door: Rect, thickness: float, framed: bool, pair: bool
+) -> JointedParts:
+    """With its door, or with two that share its place and are of one make."""
+    gap = rng.uniform(0.0008, 0.003) + 0.6 * thickness**2 / door.width
+    split = door.centre[0] + (door.width * rng.uniform(-0.15, 0.15) if rng.random() < 0.2 else 0.0)
+    spans = [replace(door, x1=split - gap), replace(door, x0=split + gap).mirrored()] if pair else [door]
+    style, moving, pivots = int(rng.integers(2**31)), [], []
+    handled, place, size = rng.random() < 0.85, rng.random(), rng.uniform(0.4, 0.9)
+    for number, span in enumerate(spans):
+        alike = np.random.default_rng(style)  # doors of a pair look alike
+        pivot = pivot_at_side(alike, span, thickness, framed)
+        solids = leaf(alike, span, 0.0008, thickness, windows=0.15, panels=0.4)
+        if handled:
+            part = (
+                span
+                if place < 0.6
+                else replace(span, y0=span.centre[1])
+                if place < 0.8
+                else replace(span, y1=span.centre[1])
+            )
+            solids += handle(alike, part, thickness, "right", size)
+        sign = -1 if number else 1
+        moving.append(merge_meshes([solid.mirrored() for solid in solids] if number else solids))
+        pivots.append(pivot * [sign, 1, 1])
+    return JointedParts((merge_meshes(body), *moving), np.array(pivots))
+
+
+def _open_parts(rng: np.random.Generator, width: float, tall: float, pair: bool) -> tuple[float, np.ndarray]:
+    """How much of the front, on the right, below and above, no door closes."""
+    beside = width * rng.uniform(0.2, 0.45) if not pair and width > 0.5 and rng.random() < 0.45 else 0.0
+    stack = tall * rng.uniform(0.15, 0.45, 2) * (rng.random(2) < (0.15, 0.15))
+    return beside, stack
+
+
+def _carcass(rng: np.random.Generator, case: Case, beside: float, stack: np.ndarray, wall: float) -> list[Mesh]:
+    """The walls, with shelves behind the doors and in the open parts."""
+    if rng.random() < 0.1:
+        return [case.front.slab(-case.depth, 0.0)]
+    whole = replace(case, right=wall, bottom=wall, top=wall)
+    mouth, back = case.mouth, -case.depth + case.back
+    solids = [*whole.walls(), *shelves(rng, case, 4)]
+    inner = whole.mouth
+    if beside:
+        solids.append(box((mouth.x1, inner.y0, back), (mouth.x1 + wall, inner.y1, 0.0)))
+        side = replace(whole, left=mouth.x1 + wall - case.front.x0)
+        solids += shelves(rng, side, 4)
+    if stack[0]:
+        solids.append(box((inner.x0, mouth.y0 - wall, back), (inner.x1 - beside, mouth.y0, 0.0)))
+    if stack[1]:
+        solids.append(box((inner.x0, mouth.y1, back), (inner.x1 - beside, mouth.y1 + wall, 0.0)))
+    return solids

@@ -1,0 +1,28 @@
+"""What the coordinates of a written file refer to."""
+
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A frame in which an observed object can be written down."""
+
+    name: str
+    T_frame_camera: np.ndarray
+    """(4, 4)."""
+    upright: bool = False
+    """Whether its z points up."""
+
+    @classmethod
+    def of(cls, T_world_camera: Any | None) -> Self:
+        """The world, z up, where the camera's pose (4, 4) in it is known; the camera otherwise."""
+        if T_world_camera is None:
+            return cls("camera_optical_frame", np.eye(4))
+        return cls("world", np.asarray(T_world_camera, dtype=np.float64), upright=True)
+
+
+CAMERA = Frame.of(None)
+"""OpenCV: x right, y down, z forward."""

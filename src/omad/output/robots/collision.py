@@ -1,0 +1,145 @@
+"""Bodies for simulators: each part as several convex ones, hollow where the part is, and none touching another part's
+in any state."""
+
+from itertools import combinations
+
+import numpy as np
+import torch
+
+from omad.geometry.convex import ConvexBody, convex_bodies, overlap
+from omad.geometry.kinematics import part_transforms
+from omad.geometry.rigid import box
+from omad.objects.model import ObjectModel
+
+GAP = 0.002
+"""Of the object's diagonal: what bodies of two parts keep between them."""
+FLUSH = 0.008
+"""Of the object's diagonal: details that stand out less are no bodies of their own."""
+MOST = 40
+"""Bodies a part."""
+SLICES = 12
+"""Of a part whose bodies are cut locally, along its longest side."""
+SLIVER = 1e-6
+"""Of a part's box: slices that are smaller are left out."""
+PARALLEL = 0.99
+"""Cosine between axes from which on they count as parallel."""
+SINGLE, DOUBLE = 241, 31
+"""States of a joint that are tried: of a pair of parts that one joint moves, and of one that several move."""
+
+
+def collision_bodies(model: ObjectModel) -> list[list[ConvexBody]]:
+    """Of each part, canonical space at rest. Where bodies of two parts would overlap in some state of the joints within
+    their limits, the one that loses less is cut back; where several joints turn both about one direction (temples of
+    eyeglasses), one keeps what is above and the other what is below."""
+    size = model.diagonal
+    bodies = [convex_bodies(part, FLUSH * size)[:MOST] for part in model.parts]
+    for first, second in combinations(range(len(bodies)), 2):
+        moving = _between(model, first, second)
+        places, direction = _relative(model, first, second, moving), _common_axis(model, moving)
+        places = _meeting(bodies[first], bodies[second], places, GAP * size)
+        if direction is not None:
+            for side in (first, second):
+                bodies[side] = _sliced(bodies[side])
+            for T in places:
+                _stack(bodies[first], bodies[second], T, direction, GAP * size)
+        for T in places:
+            _part(bodies[first], bodies[second], T, GAP * size)
+    return bodies
+
+
+def _common_axis(model: ObjectModel, moving: list[int]) -> np.ndarray | None:
+    """(3,) the direction that several joints turn about, if they do and it is one."""
+    axes = model.axes[moving]
+    if len(moving) < 2 or not all(model.tree.turning[joint] for joint in moving):
+        return None
+    return axes[0] if (np.abs(axes @ axes[0]) > PARALLEL).all() else None
+
+
+def _between(model: ObjectModel, first: int, second: int) -> list[int]:
+    """Joints that move one part against another."""
+    return sorted(set(model.tree.path(first)) ^ set(model.tree.path(second)))
+
+
+def _relative(model: ObjectModel, first: int, second: int, moving: list[int]) -> np.ndarray:
+    """(S, 4, 4) from the second part's canonical coordinates to the first one's, over all states of the joints
+    ``moving``."""
+    steps = SINGLE if len(moving) == 1 else DOUBLE if len(moving) == 2 else 5
+    each = (np.linspace(low, high, steps) for low, high in model.limits[moving])
+    tried = np.stack(np.meshgrid(*each, indexing="ij"), -1)
+    states = np.repeat(np.clip(0.0, *model.limits.T)[None], tried[..., 0].size, 0)
+    states[:, moving] = tried.reshape(len(states), -1)
+    fixed = (np.repeat(each[None], len(states), 0) for each in (model.axes, model.pivots, np.eye(4)))
+    axes, pivots, base = map(torch.as_tensor, fixed)
+    T = part_transforms(model.tree, axes, pivots, torch.as_tensor(states), base).numpy()
+    return np.linalg.inv(T[:, first]) @ T[:, second]
+
+
+def _meeting(first: list[ConvexBody], second: list[ConvexBody], places: np.ndarray, gap: float) -> np.ndarray:
+    """Those of the second part's places (S, 4, 4) at which bodies may come nearer than ``gap``, by the spheres around
+    their boxes."""
+    if not first or not second:
+        return places[:0]
+    boxes = (np.array([body.box for body in bodies]) for bodies in (first, second))
+    spheres = [(each.mean(1), np.linalg.norm(each[:, 1] - each[:, 0], axis=1) / 2) for each in boxes]
+    (one, of_one), (other, of_other) = spheres
+    moved = np.einsum("sij,bj->sbi", places[:, :3, :3], other) + places[:, None, :3, 3]
+    apart = np.linalg.norm(one[None, :, None] - moved[:, None], axis=3) - of_one[:, None] - of_other
+    return places[(apart < gap).any((1, 2))]
+
+
+def _sliced(bodies: list[ConvexBody]) -> list[ConvexBody]:
+    """Bodies of one part cut across the part's longest side, so that what makes room is no more than needs to."""
+    low, high = box(np.concatenate([body.vertices for body in bodies])) if bodies else np.zeros((2, 3))
+    along = np.eye(3)[(high - low).argmax()]
+    ends = np.linspace(low @ along, high @ along, SLICES + 1)
+    slices = [
+        piece
+        for body in bodies
+        for start, end in zip(ends, ends[1:], strict=False)
+        if (upper := body.cut(along, start)) is not None and (piece := upper.cut(-along, -end)) is not None
+    ]
+    return [piece for piece in slices if piece.volume > SLIVER * float(np.prod(high - low))]
+
+
+def _near(first: list[ConvexBody], second: list[ConvexBody], gap: float) -> list[list[int]]:
+    """Pairs of bodies whose boxes come nearer than ``gap``."""
+    boxes = [np.array([body.box for body in bodies]).reshape(-1, 2, 3) for bodies in (first, second)]
+    one, other = boxes[0][:, None], boxes[1][None]
+    return np.argwhere(((one[:, :, 0] < other[:, :, 1] + gap) & (other[:, :, 0] < one[:, :, 1] + gap)).all(2)).tolist()
+
+
+def _stack(first: list[ConvexBody], second: list[ConvexBody], T: np.ndarray, direction: np.ndarray, gap: float) -> None:
+    """Where bodies of two parts overlap with the second part at T (4, 4) in the first one's frame, leave those of the
+    first what is below the middle of both along ``direction`` (3,), and those of the second what is above."""
+    moved, back = [body.carried(T) for body in second], np.linalg.inv(T)
+    for i, j in _near(first, moved, gap):
+        if overlap(first[i], moved[j], gap) is None:
+            continue
+        heights = first[i].vertices @ direction, moved[j].vertices @ direction
+        middle = (max(h.min() for h in heights) + min(h.max() for h in heights)) / 2
+        below, above = first[i].cut(-direction, gap / 2 - middle), moved[j].cut(direction, middle + gap / 2)
+        if below is not None and above is not None:
+            first[i], moved[j], second[j] = below, above, above.carried(back)
+
+
+def _part(first: list[ConvexBody], second: list[ConvexBody], T: np.ndarray, gap: float) -> None:
+    """Cut bodies of two parts back where they overlap with the second part at T (4, 4) in the first one's frame."""
+    moved = [body.carried(T) for body in second]
+    gone: tuple[set[int], set[int]] = set(), set()
+    for i, j in _near(first, moved, gap):
+        if i in gone[0] or j in gone[1] or (found := overlap(first[i], moved[j], gap)) is None:
+            continue
+        if found.cut_second:
+            left = moved[j].cut(found.normal, found.first_end + gap)
+            if left is None:
+                gone[1].add(j)
+            else:
+                moved[j], second[j] = left, left.carried(np.linalg.inv(T))
+        else:
+            left = first[i].cut(-found.normal, gap - found.second_start)
+            if left is None:
+                gone[0].add(i)
+            else:
+                first[i] = left
+    for bodies, lost in zip((first, second), gone, strict=True):
+        bodies[:] = [body for index, body in enumerate(bodies) if index not in lost]

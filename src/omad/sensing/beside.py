@@ -1,0 +1,92 @@
+"""What lies beside a depth image and says how to read it: its camera, its scale, its mask, its colours.
+
+Of ``x.png`` or ``x.depth.png`` these are, the first that tells counts: ``x.json`` or ``x.yaml``, ``camera.json`` or
+``camera.yaml`` in its folder, and ``dataset.json`` in its folder or the one above, as ``omad render`` writes it. The
+mask is ``x.mask.png``, the colour image ``x.color.png`` or ``x.color.jpg``. A file with neither intrinsics nor
+``depth_scale`` is not for it, and passed over.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from omad.common.errors import InputError
+from omad.common.limits import limits
+
+from .camera_files import CameraFile, camera_of, read_table, tells_of_camera
+
+OF_DEPTH = ".depth"
+COMPANIONS = (".mask", ".labels", ".instances", ".color")
+"""What an image's name has before its extension where it belongs to a depth image, and is none."""
+SCALES = (1e-9, 1e9)
+KEY = "depth_scale"
+
+
+@dataclass(frozen=True)
+class Beside:
+    """What files beside one depth image tell."""
+
+    camera: CameraFile | None = None
+    depth_scale: float | None = None
+    """Metres per stored integer."""
+    mask: Path | None = None
+    color: Path | None = None
+    told_by: Path | None = None
+    """Whose word the camera or the scale is."""
+
+    @classmethod
+    def of(cls, depth: Path) -> "Beside":
+        """Raises InputError for a file beside it that tells of a camera and is wrong."""
+        stem = depth.stem.removesuffix(OF_DEPTH)
+        camera = scale = told_by = None
+        for file in _files(depth.parent, stem):
+            table = _table(file)
+            if camera is None and tells_of_camera(table):
+                camera, told_by = camera_of(table, file), file
+            if scale is None and isinstance(table, dict) and KEY in table:
+                scale, told_by = _metres(table[KEY], file), file
+            if camera is not None and scale is not None:
+                break
+        mask, *colors = (depth.with_name(f"{stem}{end}") for end in (".mask.png", ".color.png", ".color.jpg"))
+        color = next((file for file in colors if file.is_file()), None)
+        return cls(camera, scale, mask if mask.is_file() else None, color, told_by)
+
+
+def is_companion(file: Path) -> bool:
+    """Whether an image belongs to a depth image, by its name, as ``00000.labels.png`` does."""
+    return Path(file.stem).suffix.lower() in COMPANIONS
+
+
+def _files(folder: Path, stem: str) -> Iterator[Path]:
+    for name in (stem, "camera"):
+        yield from (folder / f"{name}{suffix}" for suffix in (".json", ".yaml", ".yml"))
+    yield from (folder / "dataset.json", folder.absolute().parent / "dataset.json")
+
+
+def _table(file: Path) -> Any:
+    """None where there is none."""
+    try:
+        status = file.stat()
+    except OSError:
+        return None
+    if status.st_size > limits().camera_bytes:
+        return None
+    return _read(file, status.st_mtime_ns, status.st_size)
+
+
+@lru_cache(maxsize=8)
+def _read(file: Path, changed: int, size: int) -> Any:
+    """Read once, though a folder of a million images asks for it; ``changed`` and ``size`` tell another file."""
+    try:
+        return read_table(file)
+    except InputError:
+        return None  # whatever it is, it is not a camera's
+
+
+def _metres(told: Any, file: Path) -> float:
+    """Open3D and TUM write how many stored numbers are a metre, others how many metres a number is."""
+    if isinstance(told, bool) or not isinstance(told, int | float) or not SCALES[0] <= told <= SCALES[1]:
+        raise InputError(f"{file}: {KEY} is no number of metres; correct it, or give --depth-scale")
+    return 1 / told if told > 1 else float(told)

@@ -1,0 +1,223 @@
+"""Tracking of recordings and of a camera, with the options that one image has, and the page of a track."""
+
+import json
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from PIL import Image
+from sequences import SequenceConfig, SequenceFrame, render_sequence
+
+from helpers.headless_browser import HeadlessBrowser
+from omad.cli.main import run
+from omad.data.procedural import generate
+from omad.objects.category_file import get_category
+
+K = ["--intrinsics", "600,600,319.5,239.5"]
+GIVEN = ["--category", "laptop", "--json"]
+START = 1_700_000_000_000_000_000
+
+
+@pytest.fixture(scope="module")
+def sequence() -> list[SequenceFrame]:
+    category = get_category("laptop")
+    return list(render_sequence(generate(category, 0, "test"), category, SequenceConfig(frames=4, fps=10.0, swing=0.2)))
+
+
+@pytest.fixture(autouse=True)
+def in_a_folder_of_its_own(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.fixture
+def folder(sequence) -> Path:
+    Path("frames").mkdir()
+    for index, frame in enumerate(sequence):
+        Image.fromarray(np.rint(frame.depth * 1000).astype(np.uint16)).save(f"frames/{index:04d}.png")
+    return Path("frames")
+
+
+def tracked(capsys, *arguments: str, code: int = 0) -> tuple[dict, list[dict]]:
+    capsys.readouterr()
+    assert run(["track", *arguments, *GIVEN]) == code
+    lines = Path("omad-track/frames.jsonl").read_text().splitlines()
+    return json.loads(capsys.readouterr().out), [json.loads(line) for line in lines]
+
+
+def test_a_sure_first_frame_is_tracked(folder, capsys):
+    _, lines = tracked(capsys, str(folder), *K, "--fps", "10")
+    assert [line["status"] for line in lines] == ["tracking"] * 4
+
+
+def test_options_of_one_image_hold_for_tracks(folder, sequence, capsys):
+    Path("world").mkdir()
+    up = sequence[0].T_camera_base[:3, 1]
+    for index in range(4):
+        T = np.eye(4)
+        T[:3, :3] = np.stack([np.cross(up, [0, 0, 1.0]), np.cross(up, np.cross(up, [0, 0, 1.0])), up])
+        T[:3, :3] /= np.linalg.norm(T[:3, :3], axis=1, keepdims=True)
+        T[:3, 3] = [0, 0, index]
+        np.savetxt(f"world/{index:04d}.txt", T)
+    Path("colours").mkdir()
+    for index in range(4):
+        Image.new("RGB", (640, 480), (200, 0, 100)).save(f"colours/{index:04d}.jpg")
+    options = ["--world", "world", "--color", "colours", "--distortion", "none", "--formats", "urdf", "--gif"]
+    _, lines = tracked(capsys, str(folder), *K, "--fps", "10", *options)
+    heights = [line["world"]["T_world_base"][2][3] for line in lines]
+    assert np.diff(heights) == pytest.approx(1, abs=0.1)
+    assert Path("omad-track/last/robot.urdf").is_file()
+    assert Image.open("omad-track/track.gif").convert("RGB").resize((1, 1)).getpixel((0, 0))[0] > 150  # in colour
+    assert run(["track", str(folder), *K, *GIVEN, "--gravity=0,1,0", "--fps", "10"]) in (0, 1)
+    assert run(["track", str(folder), *K, *GIVEN, "--gravity", "world"]) == 2
+    assert run(["track", str(folder), *K, *GIVEN, "--formats", "doc"]) == 2
+    Path("world/0002.txt").unlink()
+    summary, lines = tracked(capsys, str(folder), *K, "--world", "world", "--fps", "10", code=2)
+    assert "T_world_camera" in summary["refused"][0]["reason"]
+
+
+@pytest.mark.slow
+def test_the_page_has_a_slider_for_time(folder, capsys, tmp_path):
+    tracked(capsys, str(folder), *K, "--fps", "10")
+    page = Path("omad-track/track.html")
+    assert page.stat().st_size < 1_000_000
+    browser = HeadlessBrowser(tmp_path / "profile", 1000, 800)
+    try:
+        browser.command("Page.navigate", url=page.absolute().as_uri())
+        browser.wait("document.getElementById('now')?.textContent.includes('0000.png')")
+        browser.run("time = document.getElementById('time'); time.value = 3; time.dispatchEvent(new Event('input'))")
+        assert "0003.png" in browser.run("document.getElementById('now').textContent")
+        assert "hinge" in browser.run("document.getElementById('joints').textContent")
+        assert browser.run("frames.every(frame => frame.picture && frame.dots.length === data.part_of.length)")
+        assert browser.errors == []
+    finally:
+        browser.close()
+
+
+def write_bag(path: Path, sequence: list[SequenceFrame], kind: str) -> Path:
+    """Depth, its camera and a mask, as a ROS driver records them."""
+    pytest.importorskip("rosbags", reason="recordings are an extra: pip install 'omad[bags]'")
+    from rosbags.rosbag1 import Writer as Writer1
+    from rosbags.rosbag2 import StoragePlugin
+    from rosbags.rosbag2 import Writer as Writer2
+    from rosbags.typesys import Stores, get_typestore
+
+    first = kind == "bag"
+    store = get_typestore(Stores.ROS1_NOETIC if first else Stores.ROS2_HUMBLE)
+    types = store.types
+    Time, Header = types["builtin_interfaces/msg/Time"], types["std_msgs/msg/Header"]
+    sequence_number = {"seq": 0} if first else {}
+    writer = Writer1(path) if first else Writer2(path, version=9, storage_plugin=StoragePlugin[kind.upper()])
+    with writer:
+        kinds = {"/camera/depth/image_rect_raw": "Image", "/camera/depth/camera_info": "CameraInfo", "/mask": "Image"}
+        topics = {name: writer.add_connection(name, f"sensor_msgs/msg/{type}", typestore=store)
+                  for name, type in kinds.items()}  # fmt: skip
+
+        def send(topic: str, message, stamp: int) -> None:
+            dump = store.serialize_ros1 if first else store.serialize_cdr
+            writer.write(topics[topic], stamp, dump(message, topics[topic].msgtype))
+
+        def image(array: np.ndarray, encoding: str, header):
+            step = array.shape[1] * array.itemsize
+            data = np.ascontiguousarray(array).view(np.uint8).ravel()
+            return types["sensor_msgs/msg/Image"](header, *array.shape, encoding, 0, step, data)
+
+        for index, frame in enumerate(sequence):
+            stamp = START + index * 100_000_000
+            header = Header(**sequence_number, stamp=Time(stamp // 10**9, stamp % 10**9), frame_id="camera")
+            roi = types["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False)
+            K = np.array([600.0, 0, 319.5, 0, 600, 239.5, 0, 0, 1])
+            values = header, 480, 640, "plumb_bob", np.zeros(5), K, np.eye(3).ravel(), np.zeros(12), 0, 0, roi
+            send("/camera/depth/camera_info", types["sensor_msgs/msg/CameraInfo"](*values), stamp)
+            send("/mask", image((frame.depth > 0).astype(np.uint8) * 255, "mono8", header), stamp)
+            stored = np.rint(frame.depth * 1000).astype(np.uint16)
+            send("/camera/depth/image_rect_raw", image(stored, "16UC1", header), stamp + 1000)
+    return path
+
+
+@pytest.mark.parametrize("kind", ["mcap", "sqlite3", "bag"])
+def test_recordings_are_tracked(kind, sequence, folder, capsys):
+    bag = write_bag(Path("recording.bag" if kind == "bag" else "recording"), sequence, kind)
+    Path("masks").mkdir()
+    for index, frame in enumerate(sequence):
+        Image.fromarray(np.uint8(frame.depth > 0) * 255).save(f"masks/{index:04d}.png")
+    _, expected = tracked(capsys, str(folder), *K, "--fps", "10", "--mask", "masks")
+    bag = next(bag.glob("*.mcap"), bag) if kind == "mcap" else bag  # a file alone, or a bag's folder
+    _, lines = tracked(capsys, str(bag), "--mask-topic", "/mask")
+    assert [line["time"] for line in lines] == pytest.approx([0, 0.1, 0.2, 0.3])
+    for line, other in zip(lines, expected, strict=True):
+        assert line["joints"][0]["state"] == pytest.approx(other["joints"][0]["state"], abs=1e-3)
+
+
+def test_recordings_that_do_not_fit_are_refused(sequence, capsys):
+    bag = str(write_bag(Path("recording"), sequence[:1], "mcap"))
+    assert run(["track", bag, *GIVEN, "--depth-topic", "/depth"]) == 2
+    assert "/camera/depth/camera_info" in capsys.readouterr().err  # what there is
+    Path("broken.mcap").write_bytes(b"\x89MCAP0\r\nno")
+    assert run(["track", "broken.mcap", *GIVEN]) == 2
+    assert "broken.mcap" in capsys.readouterr().err
+    assert run(["track", *GIVEN]) == 2
+    assert "--camera" in capsys.readouterr().err
+
+
+@pytest.fixture
+def camera(sequence, monkeypatch) -> list[str]:
+    """A pyrealsense2 whose camera shows the sequence and then has no more; the list says what became of it."""
+    said: list[str] = []
+
+    def intrinsics():
+        told = {"width": 640, "height": 480, "fx": 600.0, "fy": 600.0, "ppx": 319.5, "ppy": 239.5}
+        return SimpleNamespace(**told, model="distortion.brown_conrady", coeffs=[0.0] * 5)
+
+    def frame_set(number: int):
+        depth = np.rint(sequence[number].depth * 1000).astype(np.uint16)
+        profile = SimpleNamespace(as_video_stream_profile=lambda: SimpleNamespace(get_intrinsics=intrinsics))
+        seen = SimpleNamespace(get_data=lambda: depth, get_units=lambda: 0.001, get_profile=lambda: profile,
+                               get_frame_number=lambda: number)  # fmt: skip
+        return SimpleNamespace(get_depth_frame=lambda: seen, get_color_frame=lambda: None)
+
+    class Pipeline:
+        def __init__(self) -> None:
+            self.number = 0
+
+        def start(self) -> None:
+            said.append("start")
+
+        def wait_for_frames(self):
+            if self.number == len(sequence):
+                raise RuntimeError("End of file reached")
+            self.number += 1
+            return frame_set(self.number - 1)
+
+        def stop(self) -> None:
+            said.append("stop")
+
+    module = SimpleNamespace(
+        pipeline=Pipeline, align=lambda stream: None, stream=SimpleNamespace(depth=1), format=SimpleNamespace(bgr8=2)
+    )
+    monkeypatch.setitem(sys.modules, "pyrealsense2", module)
+    return said
+
+
+def test_a_camera_is_followed(camera, capsys):
+    summary, lines = tracked(capsys, "--camera", "realsense")
+    assert summary["status"]["tracking"] == len(lines) == 4
+    assert camera == ["start", "stop"]
+
+
+def test_a_camera_without_its_package_names_the_cure(monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "pyrealsense2", None)
+    assert run(["track", "--camera", "realsense", *GIVEN]) == 2
+    assert "omad[realsense]" in capsys.readouterr().err
+
+
+def test_a_track_is_recorded_for_rerun_and_shown_live(folder, capsys, monkeypatch):
+    rr = pytest.importorskip("rerun", reason="the recording is an extra: pip install 'omad[rerun]'")
+    tracked(capsys, str(folder), *K, "--fps", "10", "--formats", "rrd")
+    assert Path("omad-track/track.rrd").stat().st_size > 10_000
+    assert not list(Path("omad-track").glob("*.unfinished.rrd"))
+    spawned = []
+    monkeypatch.setattr(rr.RecordingStream, "spawn", lambda stream: spawned.append(stream))
+    tracked(capsys, str(folder), *K, "--fps", "10", "--live")
+    assert len(spawned) == 1

@@ -1,0 +1,72 @@
+"""Generators of one's own: they take the place of models, and what is wrong in them is said with its line."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import omad
+from helpers.command_line import answer, refused
+from helpers.travel import deepest_cut
+from omad.common.errors import InputError
+from omad.data.procedural.own import own_generator
+from omad.data.source import load_models
+
+DOCS = Path(__file__).parents[2] / "docs"
+SPEC, GENERATOR = DOCS / "categories" / "mailbox.toml", DOCS / "categories" / "mailbox.py"
+MAILBOX = omad.get_category(SPEC)
+
+
+def test_the_example_is_short_and_stands_in_the_guide():
+    text = GENERATOR.read_text()
+    assert len(text.splitlines()) < 40
+    assert text in (DOCS / "own-category.md").read_text()
+
+
+def test_its_objects_are_reproducible_closed_and_clear_of_each_other():
+    models = [load_models(str(GENERATOR), MAILBOX, 8, "train", 0).models for _ in range(2)]
+    for one, again in zip(*models, strict=True):
+        assert one.closed
+        assert deepest_cut(one, np.random.default_rng(0)) < 0.01
+        for part, same in zip(one.parts, again.parts, strict=True):
+            np.testing.assert_array_equal(part.vertices, same.vertices)
+    others = load_models(str(GENERATOR), MAILBOX, 8, "test", 0).models
+    assert not {model.diagonal for model in models[0]} & {model.diagonal for model in others}
+
+
+def test_they_are_written_and_imported_by_commands(capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    spec = ["--category", str(SPEC)]
+    answer(capsys, "generate", *spec, "--source", str(GENERATOR), "--output", "made", "--objects", "3")
+    assert len(answer(capsys, "import", "made", *spec, "--output", "seen")["used"]) == 3
+    answer(capsys, "render", *spec, "--source", str(GENERATOR), "--output", "views", "--objects", "2", "--views", "2")
+    assert "mailbox" in refused(capsys, "generate", *spec, "--output", "none")  # no file is run that was not named
+
+
+WRONG = {
+    "no such file": (None, "no such file"),
+    "no Python": ("def generate(:\n", r"own\.py:1: SyntaxError"),
+    "no function": ("make = 1\n", "no function generate"),
+    "an error": ("def generate(rng, category, unusual):\n    return 1 / 0\n", r"own\.py:2: ZeroDivisionError"),
+    "something else": ("def generate(rng, category, unusual):\n    return 7\n", "gives a int"),
+    "too few parts": (
+        "from omad.data.procedural.vocabulary import JointedParts, box\n\n\ndef generate(rng, category, unusual):\n"
+        "    return JointedParts((box((0, 0, 0), (1, 1, 1)),), rng.normal(size=(1, 3)))\n",
+        "parts of 1, a mailbox has 2",
+    ),
+    "pivots of another shape": (
+        "from omad.data.procedural.vocabulary import JointedParts, box\n\n\ndef generate(rng, category, unusual):\n"
+        "    return JointedParts((box((0, 0, 0), (1, 1, 1)),) * 2, rng.normal(size=3))\n",
+        r"pivots of \(3,\), a mailbox has \(1, 3\)",
+    ),
+}
+
+
+@pytest.mark.parametrize(("text", "said"), WRONG.values(), ids=WRONG)
+def test_what_is_wrong_in_one_is_said_in_a_line(text, said, tmp_path):
+    file = tmp_path / "own.py"
+    if text is not None:
+        file.write_text(text)
+    with pytest.raises(InputError, match=said) as raised:
+        own_generator(file)(np.random.default_rng(0), MAILBOX, None)
+    assert "\n" not in str(raised.value)

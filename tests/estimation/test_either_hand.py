@@ -1,0 +1,137 @@
+"""Objects of the other hand: taken as mirror images, estimated in the mirror, and given back as they are."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import omad
+from helpers.categories import DISHWASHER, EVERY
+from helpers.own_models import microwave
+from omad.common.errors import InputError
+from omad.data.procedural import generate
+from omad.data.rendering.standard_views import standard_view
+from omad.data.source import load_models
+from omad.data.urdf_import.folder import import_with_notes
+from omad.estimation.estimator import Estimator
+from omad.estimation.known import Known
+from omad.evaluation.evaluate import true_pose
+from omad.evaluation.metrics import pose_errors
+from omad.geometry.transforms import MIRROR_X
+from omad.objects.category import Category
+from omad.objects.urdf import write_urdf
+
+HANDED = sorted(name for name, category in EVERY.items() if category.either_hand)
+
+
+@pytest.fixture(scope="module")
+def estimator() -> Estimator:
+    """A dishwasher is its own mirror image, nearly: what is right of one hand is right of the other."""
+    estimator = omad.Estimator.from_pretrained("dishwasher", "cpu")
+    estimator.net.category = replace(estimator.category, either_hand=True)
+    return estimator
+
+
+@pytest.fixture(scope="module")
+def views() -> list:
+    return [standard_view(generate(DISHWASHER, i, "test"), DISHWASHER, (4, i)) for i in range(4)]
+
+
+@pytest.mark.parametrize("name", ["microwave", "drawer", "eyeglasses", "jar", "desk_lamp"])
+def test_a_mirrored_model_moves_like_the_image_of_the_model(name):
+    model = generate(EVERY[name], 3, "test")
+    for states in np.random.default_rng(0).uniform(*model.limits.T, (3, len(model.limits))):
+        for seen, image in zip(model.posed_vertices(states), model.mirrored().posed_vertices(states), strict=True):
+            np.testing.assert_allclose(seen * MIRROR_X, image, atol=1e-12)
+    assert model.mirrored().closed == model.closed
+
+
+@pytest.mark.parametrize("name", HANDED)
+def test_models_of_the_other_hand_are_imported_as_their_mirror_image(name, tmp_path):
+    category = EVERY[name]
+    for index in range(3):
+        model = generate(category, index, "test")
+        for thing, notes in ((model, 0), (model.mirrored(), 1)):
+            file = write_urdf(thing, tmp_path / str(index) / str(notes) / "thing.urdf")
+            imported = import_with_notes(file, category)
+            found = imported.model
+            assert len(imported.notes) == notes
+            np.testing.assert_allclose(found.part_boxes(), model.part_boxes(), atol=1e-6)
+            np.testing.assert_allclose(found.axes, model.axes, atol=1e-6)
+            np.testing.assert_allclose(found.limits, model.limits, atol=1e-6)
+
+
+def test_a_category_of_one_hand_has_no_mirrored_objects(tmp_path):
+    with pytest.raises(InputError, match="one hand"):
+        load_models("mirrored", DISHWASHER, 1, "test", 0)
+    [mirrored] = load_models("mirrored", EVERY["microwave"], 1, "test", 0).models
+    assert mirrored.axes[0, 1] > 0.9  # hinged at the right
+    assert microwave().mirrored().pivots[0, 0] == -microwave().pivots[0, 0]
+
+
+def test_a_thread_cannot_be_of_either_hand():
+    jar = EVERY["jar"]
+    with pytest.raises(ValueError, match="either_hand"):
+        Category(**vars(jar) | {"either_hand": True})
+
+
+def test_an_observation_in_the_mirror_is_seen_by_a_camera(views):
+    seen = views[0].observation()
+    image = seen.mirrored()
+    again = omad.Observation.from_depth(image.depth, image.camera, image.mask)
+    again, expected = (points[np.lexsort(points.round(4).T)] for points in (again.points, image.points))
+    np.testing.assert_allclose(again, expected, atol=1e-3)
+    np.testing.assert_array_equal(image.mirrored().points, seen.points)
+
+
+def test_an_answer_in_the_mirror_is_consistent_and_mirrored_back_the_same(estimator, views):
+    estimate = estimator(views[0].observation())
+    image = estimate.in_mirror()
+    assert image.of_other_hand != estimate.of_other_hand
+    assert np.linalg.det(image.T_camera_base[:3, :3]) == pytest.approx(1)
+    T = image.T_camera_part[list(image.category.part_of_keypoint)]
+    placed = (T[:, :3, :3] @ image.canonical_keypoints[..., None])[..., 0] + T[:, :3, 3]
+    np.testing.assert_allclose(placed, image.keypoints, atol=1e-9)
+    np.testing.assert_allclose(image.keypoints, estimate.keypoints * MIRROR_X, atol=1e-12)
+    for joint, other in zip(estimate.joints, image.joints, strict=True):
+        moved, there = (one.motion(0.3) @ [*at, 1] for one, at in ((joint, [0.1, 0.2, 0.3]), (other, [-0.1, 0.2, 0.3])))
+        np.testing.assert_allclose(moved[:3] * MIRROR_X, there[:3], atol=1e-12)
+    for mesh, other in zip(estimate.object_model().parts, image.object_model().parts, strict=True):
+        np.testing.assert_allclose(mesh.vertices * MIRROR_X, other.vertices, atol=1e-6)
+    again = image.in_mirror()
+    np.testing.assert_allclose(again.covariance, estimate.covariance)
+    np.testing.assert_allclose(again.T_camera_part, estimate.T_camera_part)
+
+
+def test_either_hand_answers_are_right(estimator, views):
+    for view in views:
+        [plain], [image] = (
+            estimator._of_one_hand([observation], Known(), None, None)
+            for observation in (view.observation(), view.observation().mirrored())
+        )
+        truth, boxes = true_pose(view, DISHWASHER), view.truth.part_boxes
+        for answer in (plain, image.in_mirror()):
+            errors = pose_errors(answer.pose(), truth, boxes, DISHWASHER)
+            assert np.degrees(errors.joint_state).max() < 10
+            assert np.degrees(errors.axis).max() < 10
+
+
+def test_what_is_seen_in_a_mirror_gets_the_mirrored_answer(estimator, views):
+    """The same two looks are had either way."""
+    for view in views:
+        one, other = estimator(view.observation()), estimator(view.observation().mirrored())
+        assert one.of_other_hand != other.of_other_hand
+        np.testing.assert_allclose(one.in_mirror().T_camera_part, other.T_camera_part, atol=1e-9)
+        np.testing.assert_allclose(one.joint_states, other.joint_states, atol=1e-9)
+        assert other.to_dict()["mirrored"] == other.of_other_hand
+        assert set(one.seconds) == {"network", "refinement"}
+
+
+def test_several_views_agree_on_a_hand(estimator):
+    model = generate(DISHWASHER, 5, "test")
+    views = [standard_view(model, DISHWASHER, (6, i), states=np.array([0.7])) for i in range(3)]
+    poses = [np.linalg.inv(view.T_camera_base) for view in views]
+    answers = estimator([view.observation() for view in views], T_world_camera=poses)
+    assert len({answer.of_other_hand for answer in answers}) == 1
+    for T, answer in zip(poses, answers, strict=True):
+        np.testing.assert_allclose(T @ answer.T_camera_base, poses[0] @ answers[0].T_camera_base, atol=1e-6)

@@ -1,0 +1,110 @@
+"""Pictures show the object large, and its colours where there are any; estimates print as one line."""
+
+import base64
+import io
+import json
+import re
+from functools import cache
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from helpers.command_line import laptop_view, save_png
+from omad.cli.main import run
+from omad.common.errors import InputError
+from omad.estimation.estimate import Estimate
+from omad.estimation.estimator import Estimator
+from omad.geometry.camera import Camera
+from omad.output.frame_image import frame_image
+from omad.output.page import page_text
+from omad.output.picture import figure, show
+from omad.sensing.camera_files import CameraFile
+from omad.sensing.colour_mask import ColourCamera
+from omad.sensing.observation import Observation
+
+RED = (200, 10, 30)
+
+
+@cache
+def seen() -> tuple[Observation, Estimate]:
+    view = laptop_view()
+    observation = Observation.from_depth(view.depth, view.camera, color=np.full((480, 640, 3), RED, np.uint8))
+    return observation, Estimator.from_pretrained("laptop")(observation)
+
+
+def test_the_object_fills_its_panels():
+    observation, estimate = seen()
+    panels = figure(observation, estimate).axes
+    low, high = observation.pixels.min(0), observation.pixels.max(0)
+    for panel in panels[:2]:
+        (left, right), (bottom, top) = panel.get_xlim(), panel.get_ylim()
+        assert left < low[0]
+        assert right > high[0]
+        assert max((high[0] - low[0]) / (right - left), (high[1] - low[1]) / (bottom - top)) > 0.8
+
+
+def test_notebooks_display_what_show_returns():
+    assert Image.open(io.BytesIO(show(*seen())._repr_png_())).size[0] > 800
+
+
+def test_colours_lie_under_what_is_drawn():
+    observation, estimate = seen()
+    [image] = figure(observation, estimate).axes[1].images
+    assert tuple(image.get_array()[0, 0]) == RED
+    found = re.findall(
+        r'<script id="data" type="application/json">(.*?)</script>', page_text(observation, estimate), re.S
+    )
+    picture = json.loads(found[0])["picture"]
+    assert picture["colours"] is True
+    stored = Image.open(io.BytesIO(base64.b64decode(picture["source"].partition(",")[2])))
+    assert np.abs(np.asarray(stored).reshape(-1, 3).mean(0) - RED).max() < 5
+    depth = frame_image(Observation.from_depth(laptop_view().depth, laptop_view().camera))
+    assert tuple(depth[0, 0]) == (255, 255, 255)  # not measured
+
+
+def test_colours_of_a_camera_beside_are_looked_up():
+    """Two cameras 5 cm apart before a wall 1 m away: what one sees is shifted by 30 of 600 pixels."""
+    shifted = np.eye(4)
+    shifted[0, 3] = 0.05
+    camera = Camera(64, 48, 600, 600, 31.5, 23.5)
+    color = np.broadcast_to(np.arange(128, dtype=np.uint8)[None, :, None], (48, 128, 3))
+    beside = ColourCamera(CameraFile(camera.K), shifted)
+    depth = np.ones((48, 64), np.float32)
+    depth[0, 0] = 0
+    found = beside.seen_from_depth(depth, camera, color)
+    assert np.array_equal(found[5, :, 0], np.arange(64) + 30)
+    assert not found[0, 0].any()
+
+
+def test_colours_of_another_size_are_refused():
+    view = laptop_view()
+    with pytest.raises(InputError, match="aligned"):
+        Observation.from_depth(view.depth, view.camera, color=np.zeros((240, 320, 3), np.uint8))
+
+
+def test_estimates_print_as_one_line_that_tells_the_joints():
+    observation, estimate = seen()
+    joint = estimate.joints[0]
+    assert re.fullmatch(
+        r"<Estimate of a laptop: hinge -?\d+\.\d° ± \d+\.\d°; base at .* m; right .* \d+%>", repr(estimate)
+    )
+    assert repr(joint) == f"<{joint} (revolute, -80.0° to 85.0°)>"
+    assert "-0" not in joint.shown(-1e-9)
+    for value in (observation, estimate.initial, estimate.parts[0], estimate.parts):
+        assert len(repr(value)) < 200
+
+
+def test_masks_may_be_jpeg(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    Image.fromarray(np.uint8(laptop_view().depth > 0) * 255).save("mask.jpg", quality=70)
+    given = ["--category", "laptop", "--intrinsics", "600,600,319.5,239.5", "--mask", "mask.jpg"]
+    assert run(["estimate", save_png("depth.png"), *given]) == 0
+    assert run(["estimate", "depth.png", *given, "--mask-id", "3"]) == 2
+
+
+def test_the_demo_names_its_pages(tmp_path, capsys):
+    assert run(["demo", "--category", "laptop", "--objects", "1", "--output", str(tmp_path)]) == 0
+    out = capsys.readouterr().out
+    for name in ("estimate.png", "estimate.html"):
+        assert str(next(tmp_path.rglob(name))) in out

@@ -1,0 +1,121 @@
+"""Exported objects in a simulator: no two links touch in any state, and nothing moves by itself.
+
+MuJoCo reads what was written and steps it, with gravity, for two seconds. Parent pairs, which simulators leave out by
+default, are checked, too.
+"""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+import omad
+from omad.data.procedural import generate
+from omad.data.rendering.standard_views import standard_view
+from omad.model.checkpoint import shipped_categories
+from omad.objects.category_file import get_category
+from omad.output.formats import save_formats
+
+mujoco = pytest.importorskip("mujoco", reason="MuJoCo is an extra: pip install 'omad[mujoco]'")
+
+SECONDS = 2.0
+STATES = 20
+STILL = 2e-3
+"""Radians or metres: friction is a soft constraint, which creeps a little."""
+
+
+@cache
+def seen(name: str) -> tuple[omad.Observation, omad.Estimate]:
+    category = get_category(name)
+    observation = standard_view(generate(category, 1, "test"), category, (0, 1)).observation()
+    return observation, omad.Estimator.from_pretrained(name, "cpu")(observation)
+
+
+def compiled(file, with_parents: bool, down: np.ndarray | None = None):
+    """What was written, as MuJoCo has it."""
+    spec = mujoco.MjSpec.from_file(str(file))
+    if with_parents:
+        spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_FILTERPARENT
+    if down is not None:
+        spec.option.gravity = 9.81 * down
+    return spec.compile()
+
+
+def some_states(model, estimate: omad.Estimate) -> np.ndarray:
+    """(N, J) rest, the estimate and others, all within the limits."""
+    limits = model.jnt_range.T
+    drawn = np.random.default_rng(0).uniform(*limits, (STATES, model.nq))
+    return np.clip(np.concatenate([np.zeros((1, model.nq)), estimate.joint_states[None], drawn]), *limits)
+
+
+HERE = [pytest.param(name, marks=[] if name == "laptop" else pytest.mark.slow) for name in shipped_categories()]
+
+
+@pytest.mark.parametrize("name", HERE)
+@pytest.mark.parametrize("with_parents", [False, True], ids=["siblings", "parents"])
+def test_nothing_touches_and_nothing_moves_by_itself(name, with_parents, tmp_path):
+    observation, estimate = seen(name)
+    save_formats(estimate, observation, tmp_path, ["mjcf"])
+    rng = np.random.default_rng(1)
+    for down in (None, rng.normal(size=3)):
+        model = compiled(tmp_path / "robot.xml", with_parents, None if down is None else down / np.linalg.norm(down))
+        data = mujoco.MjData(model)
+        for states in some_states(model, estimate):
+            mujoco.mj_resetData(model, data)
+            data.qpos[:] = states
+            mujoco.mj_forward(model, data)
+            assert data.ncon == 0
+            while data.time < SECONDS:
+                mujoco.mj_step(model, data)
+            assert np.abs(data.qpos - states).max() < STILL
+            assert data.ncon == 0
+
+
+@pytest.mark.parametrize("name", HERE)
+def test_bodies_of_the_urdf_do_not_touch(name, tmp_path):
+    observation, estimate = seen(name)
+    save_formats(estimate, observation, tmp_path, ["urdf"])
+    model = compiled(tmp_path / "robot.urdf", True)
+    data = mujoco.MjData(model)
+    assert (model.dof_frictionloss > 0).all()
+    assert (model.dof_damping > 0).all()
+    for states in some_states(model, estimate):
+        data.qpos[:] = states
+        mujoco.mj_forward(model, data)
+        assert data.ncon == 0
+
+
+def test_a_joint_gives_way_to_twice_what_holds_it(tmp_path):
+    observation, estimate = seen("laptop")
+    save_formats(estimate, observation, tmp_path, ["mjcf"])
+    model = compiled(tmp_path / "robot.xml", False)
+    data = mujoco.MjData(model)
+    for torque, moves in ((0.2, False), (4.0, True)):
+        mujoco.mj_resetDataKeyframe(model, data, 0)
+        start = data.qpos.copy()
+        data.qfrc_applied[:] = -torque * model.dof_frictionloss * np.sign(start)
+        for _ in range(100):
+            mujoco.mj_step(model, data)
+        assert (np.abs(data.qpos - start).max() > 0.05) == moves
+
+
+@pytest.mark.parametrize("name", HERE)
+def test_pybullet_leaves_it_where_it_is(name, tmp_path):
+    pybullet = pytest.importorskip("pybullet", reason="PyBullet is not installed")
+    observation, estimate = seen(name)
+    save_formats(estimate, observation, tmp_path, ["urdf"])
+    client = pybullet.connect(pybullet.DIRECT)
+    body = pybullet.loadURDF(str(tmp_path / "robot.urdf"), useFixedBase=True, physicsClientId=client)
+    pybullet.setGravity(0, 9.81, 0, physicsClientId=client)
+    joints = [pybullet.getJointInfo(body, j, client) for j in range(pybullet.getNumJoints(body, client))]
+    moving = [info for info in joints if info[2] != pybullet.JOINT_FIXED]
+    for info, joint in zip(moving, estimate.joints, strict=True):
+        pybullet.resetJointState(body, info[0], np.clip(joint.state, *joint.limits), physicsClientId=client)
+        brake = {"targetVelocity": 0, "force": info[7]}  # the joint's friction
+        pybullet.setJointMotorControl2(body, info[0], pybullet.VELOCITY_CONTROL, physicsClientId=client, **brake)
+    for _ in range(int(SECONDS * 240)):
+        pybullet.stepSimulation(physicsClientId=client)
+    after = [pybullet.getJointState(body, info[0], client)[0] for info in moving]
+    pybullet.disconnect(client)
+    for state, joint in zip(after, estimate.joints, strict=True):
+        assert abs(state - np.clip(joint.state, *joint.limits)) < STILL

@@ -1,0 +1,148 @@
+"""The ROS 2 node: its messages are those that ROS reads, and it answers what it subscribes. Message classes are
+rosbags' own; rclpy, which pip does not have, is a stand-in that notes what is published."""
+
+import importlib
+import sys
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from helpers.command_line import laptop_view
+from omad.estimation.estimate import Estimate
+from omad.estimation.estimator import Estimator
+from omad.geometry.rigid import rigid
+from omad.sensing.observation import Observation
+
+PACKAGE = Path(__file__).parents[2] / "ros" / "omad_ros"
+
+
+@pytest.fixture
+def store(monkeypatch):
+    typesys = pytest.importorskip("rosbags.typesys", reason="rosbags is an extra: pip install 'omad[bags]'")
+    monkeypatch.setattr(sys, "path", [str(PACKAGE), *sys.path])
+    return typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
+
+
+@pytest.fixture
+def estimate() -> Estimate:
+    view = laptop_view()
+    return Estimator.from_pretrained("laptop")(Observation.from_depth(view.depth, view.camera))
+
+
+def header(store, sec: int = 5):
+    return store.types["std_msgs/msg/Header"](store.types["builtin_interfaces/msg/Time"](sec, 7), "depth_optical")
+
+
+def read_back(store, message, kind: str):
+    """As another process gets it."""
+    return store.deserialize_cdr(store.serialize_cdr(message, kind), kind)
+
+
+def inputs(store, sec: int = 5) -> tuple:
+    depth = laptop_view().depth.astype(np.float32)
+    types, info = store.types, store.types["sensor_msgs/msg/CameraInfo"]
+    image = types["sensor_msgs/msg/Image"](header(store, sec), 480, 640, "32FC1", 0, 2560, depth.view(np.uint8).ravel())
+    mask = np.uint8(depth > 0).ravel() * 255
+    roi = types["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False)
+    K, d = np.array([600.0, 0, 319.5, 0, 600, 239.5, 0, 0, 1]), np.zeros(5)
+    told = info(header(store, sec), 480, 640, "plumb_bob", d, K, np.eye(3).ravel(), np.zeros(12), 0, 0, roi)
+    return image, told, types["sensor_msgs/msg/Image"](header(store, sec), 480, 640, "mono8", 0, 640, mask)
+
+
+def test_messages_are_those_that_ros_reads(store, estimate):
+    make = importlib.import_module("omad_ros.messages").Messages(store.types, np.array)
+    states = read_back(store, make.joint_state(estimate, header(store)), "sensor_msgs/msg/JointState")
+    assert states.name == ["hinge"]
+    assert states.position == pytest.approx(estimate.joint_states)
+    assert states.header.frame_id == "depth_optical"
+    sent = [
+        read_back(store, one, "geometry_msgs/msg/TransformStamped") for one in make.transforms(estimate, header(store))
+    ]
+    assert [(one.header.frame_id, one.child_frame_id) for one in sent] == [
+        ("depth_optical", "base"),
+        ("base", "screen"),
+    ]
+    poses = []
+    for one in sent:
+        t, q = one.transform.translation, one.transform.rotation
+        poses.append(rigid(Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix(), np.array([t.x, t.y, t.z])))
+    assert poses[0] == pytest.approx(estimate.T_camera_base, abs=1e-6)
+    hinge = estimate.joints[0]  # the screen's frame stands on its axis
+    apart = (poses[0] @ poses[1])[:3, 3] - hinge.pivot
+    assert np.linalg.norm(apart - (apart @ hinge.axis) * hinge.axis) < 1e-6
+    markers = read_back(store, make.markers(estimate, header(store)), "visualization_msgs/msg/MarkerArray").markers
+    assert [marker.ns for marker in markers] == ["base", "screen", "hinge axis"]
+    corners = np.array([[p.x, p.y, p.z] for p in markers[0].points])
+    assert corners == pytest.approx(estimate.parts[0].mesh_in_camera.triangles.reshape(-1, 3))
+    assert read_back(store, make.nothing(header(store)), "visualization_msgs/msg/MarkerArray").markers[0].action == 3
+
+
+@pytest.mark.parametrize("with_mask", [True, False])
+def test_perception_follows_messages(store, with_mask):
+    perception = importlib.import_module("omad_ros.perception").Perception(Estimator.from_pretrained("laptop"))
+    for sec in (5, 6):
+        depth, info, mask = inputs(store, sec)
+        found = perception(depth, info, mask if with_mask else None)
+        assert abs(found.joint_states[0] - laptop_view().states[0]) < 0.1
+    assert perception(*inputs(store, 6)) is None  # an old one
+    depth, info, _ = inputs(store, 6)
+    depth.header.stamp.nanosec = 300_000_000
+    depth.data = np.zeros_like(depth.data)
+    assert perception(depth, info).warnings  # not seen: predicted
+
+
+@pytest.fixture
+def published(store, monkeypatch) -> list:
+    """What a node without ROS publishes, by topic."""
+    said: list = []
+
+    class Node:
+        def __init__(self, name: str) -> None:
+            self.name = name
+
+        def declare_parameter(self, name, default):
+            return SimpleNamespace(value=default)
+
+        def create_publisher(self, kind, topic, queue):
+            return SimpleNamespace(publish=lambda message: said.append((topic, message)))
+
+        def get_logger(self):
+            return SimpleNamespace(error=lambda text, **_: said.append(("error", text)))
+
+    def module(name: str, **members) -> None:
+        made = ModuleType(name)
+        vars(made).update(members)
+        monkeypatch.setitem(sys.modules, name, made)
+
+    packages: dict[str, dict] = {}
+    for name, kind in store.types.items():
+        package, _, short = name.partition("/msg/")
+        packages.setdefault(package, {})[short] = kind
+    for package in ("builtin_interfaces", "geometry_msgs", "sensor_msgs", "std_msgs", "visualization_msgs"):
+        module(package)
+        module(f"{package}.msg", **packages[package])
+    module("rclpy")
+    module("rclpy.node", Node=Node)
+    module("rclpy.qos", qos_profile_sensor_data=None)
+    broadcaster = SimpleNamespace(sendTransform=lambda transforms: said.append(("tf", transforms)))
+    module("tf2_ros", TransformBroadcaster=lambda node: broadcaster)
+    synchronizer = SimpleNamespace(registerCallback=lambda callback: None)
+    module("message_filters", Subscriber=lambda *_, **__: None, ApproximateTimeSynchronizer=lambda *_: synchronizer)
+    monkeypatch.delitem(sys.modules, "omad_ros.node", raising=False)
+    return said
+
+
+def test_the_node_answers_each_image(store, published, monkeypatch):
+    node = importlib.import_module("omad_ros.node")
+    classes = {**store.types}
+    monkeypatch.setattr(node, "Messages", lambda types: importlib.import_module("omad_ros.messages").Messages(classes))
+    running = node.OmadNode()
+    running.answer(*inputs(store)[:2])
+    assert [topic for topic, _ in published] == ["joint_states", "tf", "markers"]
+    depth, info, _ = inputs(store, 6)
+    info.width = 320
+    running.answer(depth, info)
+    assert published[-1][0] == "error"

@@ -1,0 +1,129 @@
+"""What lies beside a depth image is read, and intrinsics that cannot be right are told of."""
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from helpers.command_line import LAPTOP, K, answer, laptop_view, refused, save_png
+from omad.cli.main import run
+from omad.estimation.estimator import Estimator
+from omad.objects.category_file import get_category
+from omad.sensing.beside import Beside, is_companion
+from omad.sensing.cutting.angles import angle_doubts
+from omad.sensing.observation import Observation
+
+
+@pytest.fixture(autouse=True)
+def in_a_folder_of_its_own(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+def rendered(capsys, *options: str) -> tuple[str, float]:
+    """The first image that ``omad render`` writes, and its true joint state."""
+    assert run(["render", *LAPTOP, "--output", "views", "--views", "1", "--objects", "1", *options]) == 0
+    capsys.readouterr()
+    image = next(Path("views").glob("*/00000.depth.png"))
+    return str(image), json.loads(image.with_name("00000.json").read_text())["states"][0]
+
+
+@pytest.mark.parametrize("options", [[], ["--clutter"]], ids=["standard", "clutter"])
+def test_a_rendered_image_needs_no_options(options, capsys):
+    image, truth = rendered(capsys, *options)
+    found = answer(capsys, "estimate", image, *LAPTOP)
+    assert abs(np.degrees(found["joints"][0]["state"] - truth)) < 8
+    assert found["warnings"] == []
+    assert answer(capsys, "estimate", str(Path(image).parent), *LAPTOP)["refused"] == []  # labels are no depth images
+
+
+def test_a_scale_that_contradicts_the_folders_own_is_told_and_named_without_a_mask(capsys):
+    image, _ = rendered(capsys)
+    assert run(["estimate", image, *LAPTOP, *K, "--depth-scale", "0.001"]) == 0
+    assert "dataset.json tells 0.0001" in capsys.readouterr().err
+    found = answer(capsys, "estimate", image, *LAPTOP, *K, "--depth-scale", "0.001")
+    size = next(check for check in found["checks"] if check["name"] == "size")
+    assert "10 times too large" in size["why"]
+    assert "--depth-scale 0.0001" in size["cure"]
+    assert not any(check["name"] == "category" for check in found["checks"])
+    shutil.copy(image, "alone.png")
+    found = answer(capsys, "estimate", "alone.png", *LAPTOP, *K)
+    assert "--depth-scale 0.0001" in next(check for check in found["checks"] if check["name"] == "size")["cure"]
+    # where no number comes of it, the line names the scale, too
+    assert "--depth-scale 0.0001" in refused(capsys, "estimate", "alone.png", "--category", "scissors", *K)
+
+
+def test_a_camera_beside_an_image_is_read(capsys):
+    save_png("depth.png")
+    assert "camera.json" in refused(capsys, "estimate", "depth.png", *LAPTOP)
+    told = {"width": 640, "height": 480, "fx": 600, "fy": 600, "ppx": 319.5, "ppy": 239.5, "depth_scale": 1000.0}
+    Path("camera.json").write_text(json.dumps(told))
+    assert Beside.of(Path("depth.png")).depth_scale == pytest.approx(0.001)
+    found = answer(capsys, "estimate", "depth.png", *LAPTOP)
+    assert abs(found["joints"][0]["state"] - laptop_view().states[0]) < 0.1
+    assert run(["estimate", "depth.png", *LAPTOP, "--intrinsics", "500,500,319.5,239.5"]) == 0
+    assert "camera.json tells 600" in capsys.readouterr().err
+    Path("depth.json").write_text(json.dumps(told | {"width": 1280, "height": 720}))  # the image's own comes first
+    assert "1280x720" in refused(capsys, "estimate", "depth.png", *LAPTOP)
+
+
+def test_other_files_beside_an_image_are_passed_over():
+    save_png("depth.png")
+    Path("depth.json").write_text('{"joints": []}')
+    Path("camera.json").write_text("{")
+    assert Beside.of(Path("depth.png")) == Beside()
+    assert is_companion(Path("00000.labels.png"))
+    assert not is_companion(Path("00000.depth.png"))
+
+
+@pytest.mark.parametrize("centre", ["160,120", "424,239.5", "320,120"])
+def test_a_principal_point_of_another_size_is_told(centre, capsys):
+    assert run(["estimate", save_png("depth.png"), *LAPTOP, "--intrinsics", f"600,600,{centre}"]) == 0
+    assert "principal point" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("focal", [900, 400])
+def test_a_focal_length_that_the_object_does_not_fit_is_told(focal, capsys):
+    found = answer(capsys, "estimate", save_png("depth.png"), *LAPTOP, "--intrinsics", f"{focal},{focal},319.5,239.5")
+    told = next(check for check in found["checks"] if check["name"] == "intrinsics")
+    assert "about 600 instead" in told["what"]
+    assert not [c for c in answer(capsys, "estimate", "depth.png", *LAPTOP, *K)["checks"] if c["name"] == "intrinsics"]
+
+
+def room(pitch: float) -> np.ndarray:
+    """Depth (240, 320) of a floor 1 m below and a wall 3 m before a camera, f = 300, that looks down by ``pitch``."""
+    v, u = np.mgrid[:240, :320]
+    rays = np.stack([(u - 159.5) / 300, (v - 119.5) / 300, np.ones(u.shape)], -1)
+    c, s = np.cos(pitch), np.sin(pitch)
+    down, forth = rays @ [0, c, s], rays @ [0, -s, c]
+    with np.errstate(divide="ignore"):
+        return np.minimum(np.where(down > 0, 1 / down, np.inf), np.where(forth > 0, 3 / forth, np.inf))
+
+
+def test_planes_that_are_not_at_right_angles_tell_the_focal_length():
+    depth = room(np.radians(25))
+    depth[100:140, 140:180] = 1.5  # a thing before them
+    right = Observation.from_depth(depth, (300, 300, 159.5, 119.5), segment="plane")
+    wrong = Observation.from_depth(depth, (450, 450, 159.5, 119.5), segment="plane")
+    assert not [text for text in right.warnings if "planes" in text]
+    told = next(text for text in wrong.warnings if "planes" in text)
+    assert "focal length 0.67 times" in told
+    assert angle_doubts(np.array([[0, -1, 0, -1.0]])) == ()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["laptop", "dishwasher", "drawer"])
+def test_right_focal_lengths_are_hardly_ever_doubted(name):
+    from omad.data.procedural import generate
+    from omad.data.rendering.depth_noise import LEVELS
+    from omad.data.rendering.standard_views import standard_view
+    from omad.estimation.checks import camera_doubts
+
+    estimator, category = Estimator.from_pretrained(name), get_category(name)
+    doubted = []
+    for i in range(20):
+        view = standard_view(generate(category, 50 + i, "test"), category, (7, i), LEVELS["on"])
+        seen = view.observation()
+        doubted.append(bool(camera_doubts(seen, estimator(seen), estimator)))
+    assert np.mean(doubted) <= 0.1

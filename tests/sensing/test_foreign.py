@@ -1,0 +1,186 @@
+"""Cameras, images and clouds of other packages are taken by what they carry. ROS messages are rosbags' own classes; the
+others are stand-ins with the names that librealsense's and Open3D's Python packages give."""
+
+import json
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from helpers.command_line import laptop_view
+from omad.common.errors import InputError
+from omad.sensing.camera_files import read_camera
+from omad.sensing.observation import Observation
+
+BROWN = [0.1, -0.2, 0.001, -0.0005, 0.03]
+
+
+class Model:
+    """pyrealsense2's enum says its name so."""
+
+    def __str__(self) -> str:
+        return "distortion.inverse_brown_conrady"
+
+
+def realsense(lens: bool = False):
+    told = {"width": 640, "height": 480, "fx": 600.0, "fy": 600.0, "ppx": 319.5, "ppy": 239.5}
+    return SimpleNamespace(**told, model=Model(), coeffs=BROWN if lens else [0.0] * 5)
+
+
+def open3d():
+    K = np.array([[600.0, 0, 319.5], [0, 600, 239.5], [0, 0, 1]])
+    return SimpleNamespace(width=640, height=480, intrinsic_matrix=K, get_focal_length=lambda: (600, 600))
+
+
+def messages(distribution: str = "ROS2_HUMBLE"):
+    stores = pytest.importorskip("rosbags.typesys", reason="rosbags is an extra: pip install 'omad[bags]'")
+    return stores.get_typestore(stores.Stores[distribution]).types
+
+
+def header(types):
+    stamp = types["builtin_interfaces/msg/Time"](1, 2)
+    Header = types["std_msgs/msg/Header"]
+    return Header(stamp=stamp, frame_id="c") if "seq" not in Header.__annotations__ else Header(0, stamp, "c")
+
+
+def camera_info(distribution: str, d=()):
+    types = messages(distribution)
+    upper = distribution.startswith("ROS1")
+    roi = types["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False)
+    K, R, P = np.array([600.0, 0, 319.5, 0, 600, 239.5, 0, 0, 1]), np.eye(3).ravel(), np.zeros(12)
+    names = dict(zip("DKRP" if upper else "dkrp", (np.array(d, float), K, R, P), strict=True))
+    told = {"header": header(types), "height": 480, "width": 640, "distortion_model": "plumb_bob"}
+    return types["sensor_msgs/msg/CameraInfo"](**told, **names, binning_x=0, binning_y=0, roi=roi)
+
+
+def image(distribution: str, array: np.ndarray, encoding: str, pad: int = 0, big: bool = False):
+    types = messages(distribution)
+    stored = array.astype(array.dtype.newbyteorder(">")) if big else array
+    rows = stored.reshape(len(array), -1).view(np.uint8)
+    rows = np.pad(rows, ((0, 0), (0, pad)))
+    told = {"header": header(types), "height": array.shape[0], "width": array.shape[1], "encoding": encoding}
+    return types["sensor_msgs/msg/Image"](**told, is_bigendian=int(big), step=rows.shape[1], data=rows.ravel())
+
+
+def cloud(points: np.ndarray, dtype: str = "f4"):
+    """As a driver sends it: x, y, z in another order, behind a colour, 32 bytes a point."""
+    types = messages()
+    Field, number = types["sensor_msgs/msg/PointField"], 7 if dtype == "f4" else 8
+    size = np.dtype(dtype).itemsize
+    table = np.zeros((len(points), 32), np.uint8)
+    fields = [Field("rgb", 0, 6, 1)]
+    for place, axis in enumerate("zyx"):
+        offset = 4 + place * size
+        table[:, offset : offset + size] = points[:, ["xyz".index(axis)]].astype(f"<{dtype}").view(np.uint8)
+        fields.append(Field(axis, offset, number, 1))
+    told = {"header": header(types), "height": 1, "width": len(points), "fields": fields, "is_bigendian": False}
+    data = {"point_step": 32, "row_step": 32 * len(points), "data": table.ravel(), "is_dense": True}
+    return types["sensor_msgs/msg/PointCloud2"](**told, **data)
+
+
+@pytest.fixture
+def plain() -> Observation:
+    view = laptop_view()
+    return Observation.from_depth(view.depth, view.camera)
+
+
+@pytest.mark.parametrize(
+    "camera",
+    [realsense, open3d, lambda: SimpleNamespace(intrinsic=open3d(), extrinsic=np.eye(4)),
+     lambda: camera_info("ROS2_HUMBLE"), lambda: camera_info("ROS1_NOETIC"),
+     lambda: {"fx": 600, "fy": 600, "cx": 319.5, "cy": 239.5}, lambda: "600,600,319.5,239.5"],
+    ids=["rs2", "o3d intrinsic", "o3d parameters", "ros2", "ros1", "table", "text"],
+)  # fmt: skip
+def test_cameras_are_taken_as_they_are(camera, plain):
+    seen = Observation.from_depth(laptop_view().depth, camera())
+    assert np.array_equal(seen.points, plain.points)
+    assert seen.warnings == ()
+
+
+@pytest.mark.parametrize(
+    "camera", [lambda: realsense(True), lambda: camera_info("ROS2_HUMBLE", BROWN)], ids=["rs2", "ros"]
+)
+def test_their_lenses_are_undone(camera, plain):
+    seen = Observation.from_depth(laptop_view().depth, camera())
+    assert np.abs(seen.points - plain.points).max() > 0.001
+    assert seen.camera is not None
+    assert seen.camera.distortion is None
+
+
+def test_a_camera_of_another_size_is_refused():
+    small = realsense()
+    small.width, small.height = 1280, 720
+    with pytest.raises(InputError, match="640x480 but its camera 1280x720"):
+        Observation.from_depth(laptop_view().depth, small)
+
+
+def test_open3d_parameters_are_read_from_their_file(tmp_path):
+    inner = {"width": 640, "height": 480, "intrinsic_matrix": [600.0, 0, 0, 0, 600, 0, 319.5, 239.5, 1]}
+    told = {"class_name": "PinholeCameraParameters", "extrinsic": np.eye(4).ravel().tolist(), "intrinsic": inner}
+    (tmp_path / "view.json").write_text(json.dumps(told))
+    found = read_camera(tmp_path / "view.json")
+    assert found.size == (640, 480)
+    assert found.K[0, 2] == 319.5
+
+
+@pytest.mark.parametrize("big", [False, True], ids=["little", "big"])
+@pytest.mark.parametrize("distribution", ["ROS2_HUMBLE", "ROS1_NOETIC"])
+def test_ros_images_hold_metres_or_millimetres(distribution, big, plain):
+    depth = laptop_view().depth.astype(np.float32)
+    seen = Observation.from_depth(image(distribution, depth, "32FC1", 12, big), camera_info(distribution))
+    assert np.array_equal(seen.points, plain.points)
+    stored = np.rint(1000 * depth).astype(np.uint16)
+    seen = Observation.from_depth(image(distribution, stored, "16UC1", 4, big), camera_info(distribution))
+    assert seen.depth == pytest.approx(stored * 0.001, abs=1e-6)
+
+
+def test_ros_masks_colours_and_compressed_depth(tmp_path, plain):
+    view, types = laptop_view(), messages()
+    stored = np.rint(1000 * view.depth).astype(np.uint16)
+    Image.fromarray(stored).save(tmp_path / "d.png")
+    data = np.frombuffer(b"\0" * 12 + (tmp_path / "d.png").read_bytes(), np.uint8)
+    packed = types["sensor_msgs/msg/CompressedImage"](header(types), "16UC1; compressedDepth png", data)
+    mask = image("ROS2_HUMBLE", (view.depth > 0).astype(np.uint8) * 255, "mono8")
+    bgr = np.random.default_rng(0).integers(0, 255, (480, 640, 3), np.uint8)
+    seen = Observation.from_depth(packed, camera_info("ROS2_HUMBLE"), mask, color=image("ROS2_HUMBLE", bgr, "bgr8"))
+    assert len(seen.points) == len(plain.points)
+    assert np.array_equal(seen.color, bgr[..., ::-1])
+
+
+@pytest.mark.parametrize("dtype", ["f4", "f8"])
+def test_clouds_of_ros_and_open3d(dtype, plain):
+    points = plain.points.astype(np.float32)
+    assert np.array_equal(Observation.from_points(cloud(points, dtype)).points, points)
+    assert np.array_equal(Observation.from_points(SimpleNamespace(points=points.astype(float))).points, points)
+
+
+def test_rgbd_image_of_open3d_and_frame_of_librealsense(plain):
+    depth = laptop_view().depth.astype(np.float32)
+    color = np.full((480, 640, 3), 77, np.uint8)
+    seen = Observation.from_depth(SimpleNamespace(depth=depth, color=color), open3d())
+    assert np.array_equal(seen.points, plain.points)
+    assert seen.color is not None
+    assert seen.color.max() == 77
+    profile = SimpleNamespace(as_video_stream_profile=lambda: SimpleNamespace(get_intrinsics=realsense))
+    stored = np.rint(depth * 10000).astype(np.uint16)
+    frame = SimpleNamespace(get_data=lambda: stored, get_units=lambda: 0.0001, get_profile=lambda: profile)
+    assert Observation.from_depth(frame).points == pytest.approx(plain.points, abs=1e-4)
+
+
+def test_broken_messages_are_refused_in_a_line():
+    broken = image("ROS2_HUMBLE", np.ones((480, 640), np.float32), "32FC1")
+    broken.data = broken.data[:-8]
+    with pytest.raises(InputError, match="640x480"):
+        Observation.from_depth(broken, realsense())
+    broken.encoding = "yuv422"
+    with pytest.raises(InputError, match="encoding"):
+        Observation.from_depth(broken, realsense())
+    short = cloud(np.ones((100, 3)))
+    short.data = short.data[:-1]
+    with pytest.raises(InputError, match="100 points"):
+        Observation.from_points(short)
+    with pytest.raises(InputError, match="x, y and z"):
+        Observation.from_points(SimpleNamespace(**{**vars(cloud(np.ones((100, 3)))), "fields": []}))
+    with pytest.raises(InputError, match="intrinsics: none given"):
+        Observation.from_depth(np.ones((480, 640)))
