@@ -1,4 +1,4 @@
-"""Put a trained network and its prior where the shipped weights are: the network in half precision, the prior as it is.
+"""Put a trained network and its prior where the shipped weights are: the network in eight bits, the prior as it is.
 
     python benchmarks/ship_weights.py RUN PRIOR
 
@@ -12,19 +12,17 @@ import json
 import shutil
 from pathlib import Path
 
-import torch
 import tyro
 from safetensors.torch import load_file
 
 from omad.model.checkpoint import WEIGHTS, write_tensors
+from omad.model.storage.packing import packed
 
 
 def main(run: tyro.conf.Positional[Path], prior: tyro.conf.Positional[Path]) -> None:
     folder = WEIGHTS / json.loads((run / "config.json").read_text())["category"]["name"]
-    tensors = load_file(run / "model.safetensors")
     # the prior's own numbers stay exact: they are compared with those in its folder
-    halved = {name: value if name.startswith("prior.") else value.to(torch.half) for name, value in tensors.items()}
-    write_tensors(halved, folder)
+    write_tensors(packed(load_file(run / "model.safetensors")), folder)
     shutil.copy(run / "config.json", folder / "config.json")
     write_tensors(load_file(prior / "model.safetensors"), folder / "prior")
     shutil.copy(prior / "config.json", folder / "prior" / "config.json")

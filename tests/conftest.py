@@ -4,8 +4,13 @@ import signal
 
 import pytest
 
-# what runs in the background ignores Ctrl-C, and so would the processes that tests start
-signal.signal(signal.SIGINT, signal.default_int_handler)
+
+@pytest.fixture(autouse=True)
+def signals_that_count():
+    """What runs in the background ignores Ctrl-C, and some libraries leave SIGTERM ignored: so would the processes that
+    tests start."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
 
 @pytest.fixture(autouse=True)

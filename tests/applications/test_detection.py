@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -81,6 +82,22 @@ def test_a_cloud_has_no_box() -> None:
     assert all(found.category is None and found.probability == 1 for found in detector(cloud))
     with pytest.raises(omad.InputError, match="depth image"):
         detector(cloud, (0, 0, 5, 5))
+
+
+class Nowhere(omad.Estimator):
+    """Whose answers are no numbers, as of clouds far larger than the category."""
+
+    def __call__(self, *observed):
+        lost = np.full((self.category.num_keypoints, 3), np.nan)
+        return [replace(found, keypoints=lost, canonical_keypoints=lost) for found in super().__call__(*observed)]
+
+
+def test_an_answer_without_numbers_is_no_candidate() -> None:
+    drawn = scene(0)
+    frame = omad.Observation.from_depth(drawn.depth, drawn.camera)
+    found = Detector([Nowhere.from_pretrained("laptop", "cpu")])(frame)
+    assert found
+    assert all(one.category is None and one.probabilities == {None: 1.0} for one in found)
 
 
 def test_probabilities_are_a_softmax_with_none() -> None:

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from helpers.categories import CATEGORIES
 from helpers.command_line import K, laptop_view, refused, save_png
 from helpers.headless_browser import PROGRAM, HeadlessBrowser
 from omad.applications.explorer.drawing import ObjectSpace
@@ -22,12 +23,11 @@ from omad.applications.explorer.places import Places
 from omad.cli.explore import Explore, free_port
 from omad.common.errors import InputError
 from omad.estimation.estimator import Estimator
-from omad.model.checkpoint import shipped_categories
 
 NO_VIEWER = pytest.mark.skipif(
     importlib.util.find_spec("viser") is None, reason="needs viser: pip install 'omad[explore]'"
 )
-SHIPPED = shipped_categories()
+SHIPPED = list(CATEGORIES)
 
 
 @cache

@@ -317,6 +317,14 @@ def test_counts_must_be_above_zero(command, value, capsys):
     assert arguments[-2] in refused(capsys, *arguments, *LAPTOP)
 
 
+def test_more_objects_than_a_machine_can_bear_are_refused_at_once(capsys):
+    for command in ("generate --output x", "render --output x", "train prior --output x"):
+        line = refused(capsys, *command.split(), *LAPTOP, "--objects", "200000")
+        assert "--objects" in line
+        assert "OMAD_LIMITS" in line
+    assert not Path("x").exists()
+
+
 @pytest.mark.parametrize(
     "command",
     [

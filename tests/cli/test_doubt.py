@@ -75,14 +75,14 @@ def test_confidence_is_trained_into_the_checkpoint(capsys):
     weights = checkpoint("own", None)
     trained = ["train", "confidence", *LAPTOP, *weights, "--objects", "5"]
     assert "give more" in refused(capsys, *trained, "--views", "8")
-    found = answer(capsys, *trained, "--views", "300")
+    found = answer(capsys, *trained, "--views", "260")
     assert found["checkpoint"] == "own"
     assert 0.7 < found["covered_90"] <= 1
     image = save_png("a.png")
     first = answer(capsys, "estimate", image, *LAPTOP, *K, *weights)
     assert first["probability"] > 0.5
     kept = (Path("own") / FILE).read_text()
-    answer(capsys, *trained, "--views", "300")
+    answer(capsys, *trained, "--views", "260")
     assert (Path("own") / FILE).read_text() == kept
     exported = answer(capsys, "export", *LAPTOP, *weights, "--output", "exported")
     assert FILE in exported["files"]

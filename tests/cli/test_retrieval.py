@@ -1,5 +1,6 @@
 """Building, asking and measuring catalogues on the command line; the Siamese baseline learns and is kept."""
 
+import importlib.util
 import json
 import shutil
 from pathlib import Path
@@ -180,3 +181,24 @@ def test_the_siamese_network_learns_and_is_kept(tmp_path):
 
 def test_the_view_is_of_the_object_that_the_tests_take_it_for():
     assert laptop_view().object == generate(LAPTOP, 0, "test").name
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(importlib.util.find_spec("faiss") is None, reason="FAISS is not installed (extra omad[faiss])")
+def test_a_catalogue_on_disk_is_built_added_to_merged_and_asked(capsys):
+    on_disk = ["index", "build", *OF_LAPTOP, "--output", "large", "--backend", "disk"]
+    assert answer(capsys, *on_disk, "--objects", "2")["entries"] == 2
+    assert answer(capsys, *on_disk, "--objects", "3")["entries"] == 3  # goes on with the third
+    for number in range(2):
+        save_png(f"frames/mine/{number}.png")
+    save_png("frames/other.png")
+    made = answer(capsys, *on_disk, "--source", "frames", *K)
+    assert (made["entries"], made["refused"]) == (5, [])  # two files show one object
+    build(capsys, "--objects", "4")
+    merged = answer(capsys, "index", "merge", "large", "index.npz", "--output", "all")
+    assert merged["entries"] == 9
+    found = answer(capsys, "index", "query", save_png("q.png"), *K, "--index", "all", "--count", "3")
+    names = [hit["object"] for hit in found["ranking"]]
+    assert set(names) == {"mine", "other", generate(LAPTOP, 0, "test").name}  # three of what the view shows
+    assert Path(found["ranking"][0]["thumbnail"]).is_file()
+    assert "large" in refused(capsys, *on_disk, "--metric", "beta")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import omad
-from helpers.command_line import LAPTOP, answer, laptop_view, refused
+from helpers.command_line import LAPTOP, K, answer, laptop_view, refused, save_png
 from omad.model.checkpoint import find_weights
 from omad.model.surfaces.bank import FILE
 
@@ -25,8 +25,11 @@ def test_estimates_take_their_surfaces_from_the_bank(weights, capsys):
     observation = laptop_view().observation()
     bare = omad.Estimator.from_pretrained(weights, "cpu")(observation)
     hulls = [len(part.mesh.faces) for part in bare.parts]
-    made = answer(capsys, "train", "surface", *LAPTOP, "--weights", str(weights), "--objects", "3", "--threads", "1")
+    few = ["--objects", "3", "--views", "14", "--threads", "1"]
+    made = answer(capsys, "train", "surface", *LAPTOP, "--weights", str(weights), *few)
     assert (made["file"], made["objects"]) == (str(weights / FILE), 3)
+    assert len(made["shares"]) == 2
+    assert np.shape(made["errors"]) == (3, 2)
     estimate = omad.Estimator.from_pretrained(weights, "cpu")(observation)
     assert [part.name for part in estimate.parts] == ["base", "screen"]
     assert [len(part.mesh.faces) for part in estimate.parts] != hulls
@@ -36,6 +39,32 @@ def test_estimates_take_their_surfaces_from_the_bank(weights, capsys):
     exported = answer(capsys, "export", *LAPTOP, "--weights", str(weights), "--output", str(weights / "copy"))
     assert FILE in exported["files"]
     assert (weights / "copy" / FILE).read_bytes() == (weights / FILE).read_bytes()
+
+
+def test_commands_go_on_to_the_surface(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    image, millimetres = save_png("laptop.png"), np.rint(1000 * laptop_view().depth)
+    observation = omad.Observation.from_depth(millimetres / 1000, laptop_view().camera)
+    seen = omad.Estimator.from_pretrained("laptop", "cpu")(observation)
+    expected = seen.to_surface()
+    assert not np.allclose(expected.keypoints, seen.keypoints, atol=1e-6)  # laptops go some way
+    found = answer(capsys, "estimate", image, *LAPTOP, *K, "--to-surface")
+    assert found["joints"][0]["state"] == pytest.approx(expected.joints[0].state, abs=1e-3)
+    assert found["seconds"]["surface"] > 0
+    pose = ["--objects", "1", "--views", "2"]
+    plain, fitted = (answer(capsys, "eval", "pose", *LAPTOP, *pose, *more) for more in ([], ["--to-surface"]))
+    assert plain["initial"] == fitted["initial"]
+    assert plain["refined"] != fitted["refined"]
+    assert "surface" in fitted["seconds"]
+    assert "surface" not in plain["seconds"]
+
+
+def test_several_views_do_not_go_each_its_own_way(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    np.savetxt("pose.txt", np.eye(4))
+    image = save_png("laptop.png")
+    said = refused(capsys, "estimate", image, *LAPTOP, *K, "--to-surface", "--together", "pose.txt")
+    assert "--to-surface" in said
 
 
 def test_a_bank_that_is_none_is_refused_when_it_is_needed(weights):

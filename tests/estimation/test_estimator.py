@@ -11,6 +11,7 @@ import torch
 import yourdfpy
 
 import omad
+from helpers.categories import CATEGORIES
 from omad.data.procedural import generate
 from omad.data.rendering.standard_views import View, standard_view
 from omad.estimation.category_ranking import rank
@@ -18,10 +19,9 @@ from omad.estimation.estimator import Estimator, EstimatorConfig
 from omad.evaluation.baselines.adam import adam_refinement
 from omad.evaluation.evaluate import true_pose
 from omad.geometry.joint_kinds import REVOLUTE
-from omad.model.checkpoint import shipped_categories
 from omad.objects.category_file import get_category
 
-NAMES = shipped_categories()
+NAMES = list(CATEGORIES)
 GOLDEN = Path(__file__).parents[1] / "golden"
 
 

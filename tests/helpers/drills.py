@@ -52,12 +52,15 @@ DRILLS = [
     Drill("train net", ["train", "net", "--steps", "20", *TRAINED]),
     Drill(
         "train surface",
-        ["train", "surface", *LAPTOP, "--weights", "out", "--objects", "4", "--threads", "1", "--device", "cpu"],
+        [
+            *["train", "surface", *LAPTOP, "--weights", "out", "--objects", "4", "--views", "6"],
+            *["--threads", "1", "--device", "cpu"],
+        ],
         begun=("config.json", "model.safetensors"),
     ),
     Drill(
         "train confidence",
-        ["train", "confidence", *LAPTOP, "--weights", "out", "--objects", "4", "--views", "300"],
+        ["train", "confidence", *LAPTOP, "--weights", "out", "--objects", "4", "--views", "260"],
         begun=("config.json", "model.safetensors"),
     ),
     Drill(

@@ -17,7 +17,7 @@ from omad.cli.main import run
 from omad.common.errors import InputError
 from omad.common.user_cache import user_cache
 from omad.estimation.estimator import Estimator
-from omad.model.fetched import MANIFEST, address_of, fetch
+from omad.model.storage.fetched import MANIFEST, address_of, fetch
 from omad.sensing.observation import Observation
 
 

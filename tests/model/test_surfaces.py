@@ -20,6 +20,7 @@ from omad.model.priornet import PriorNet
 from omad.model.surfaces.bank import FILE, ShapeBank
 from omad.model.surfaces.fitting import Cloud, FitConfig, SurfaceFit
 from omad.model.surfaces.placed import Placed, VisibleSurface
+from omad.model.surfaces.shares import Shares
 from omad.model.surfaces.surfaces import Surfaces
 from omad.model.surfaces.template import Skin
 from omad.training.train_surfaces import surface_bank
@@ -86,6 +87,22 @@ def test_a_bank_of_foreign_models_keeps_their_meshes(tmp_path, laptop):
         ShapeBank.load(path, net.category, net.prior)
 
 
+def test_a_bank_keeps_its_shares(tmp_path, laptop):
+    net, surfaces = laptop
+    shares = Shares(np.array([0.25, 1.0]), np.array([[0.2, 0.3], [0.3, 0.1], [0.15, 0.1]]), 60)
+    path = replace(surfaces.bank, shares=shares).save(tmp_path)
+    found = ShapeBank.load(path, net.category, net.prior).shares
+    assert found is not None
+    assert (found.taken.tolist(), found.errors.tolist(), found.views) == ([0.25, 1.0], shares.errors.tolist(), 60)
+    assert found.of_unknowns(found.shrinkage, 9) == pytest.approx([0.75] * 6 + [1 / 3] + [0.75] * 2)
+    path = replace(surfaces.bank, shares=None).save(tmp_path)
+    assert ShapeBank.load(path, net.category, net.prior).shares is None
+    for wrong in (replace(shares, taken=np.array([2.0, 0.0])), replace(shares, errors=np.zeros((2, 2)))):
+        path = replace(surfaces.bank, shares=wrong).save(tmp_path)
+        with pytest.raises(InputError, match=r"surfaces\.npz: not readable as a bank of surfaces"):
+            ShapeBank.load(path, net.category, net.prior)
+
+
 def test_surfaces_of_betas(laptop):
     net, surfaces = laptop
     unit, betas = net.category.metres_per_unit, net.prior.beta_mean.numpy() + [np.zeros(10), np.eye(10)[1]]
@@ -135,5 +152,6 @@ def test_without_points_the_surface_is_that_of_the_keypoints(laptop):
         canonical_keypoints, placed, beta = mean, None, net.prior.beta_mean.numpy()
 
     fitted = surfaces.fitted(Found, np.eye(17), np.zeros((0, 3)), np.zeros(0, int))
+    assert fitted.step.tolist() == [0.0] * 17
     for mesh, expected in zip(fitted.parts, surfaces.of_keypoints(mean), strict=True):
         assert np.array_equal(mesh.vertices, expected.vertices)

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import torch
 
+from helpers.categories import CATEGORIES
 from helpers.command_line import LAPTOP, K, answer, save_png
 from omad.data.procedural import generate
 from omad.data.rendering.standard_views import standard_view
@@ -23,7 +24,6 @@ from omad.estimation.part_labels import LabelledPoints
 from omad.evaluation.evaluate import true_pose
 from omad.geometry.joint_kinds import Motion
 from omad.geometry.kinematics import KinematicTree, deform, part_transforms
-from omad.model.checkpoint import shipped_categories
 from omad.objects.category_file import get_category
 from omad.objects.pose import ObjectPose
 from omad.output.page import MAX_POINTS, page_text
@@ -71,7 +71,7 @@ def moved(data: dict, states: list[float]) -> np.ndarray:
     return deform(tree, torch.tensor(data["part_of_keypoint"]), keypoints, axes, pivots, at, base)[0].numpy()
 
 
-@pytest.mark.parametrize("name", shipped_categories())
+@pytest.mark.parametrize("name", CATEGORIES)
 def test_numbers_are_those_of_the_estimate(name):
     observation, estimate, truth = seen(name)
     data = data_of(page(name))
@@ -86,7 +86,7 @@ def test_numbers_are_those_of_the_estimate(name):
     assert data["title"] == HOSTILE
 
 
-@pytest.mark.parametrize("name", shipped_categories())
+@pytest.mark.parametrize("name", CATEGORIES)
 def test_keypoints_lie_on_the_picture(name):
     data, (_, estimate, _) = data_of(page(name)), seen(name)
     c, p = data["picture"], estimate.keypoints
@@ -96,7 +96,7 @@ def test_keypoints_lie_on_the_picture(name):
     assert c["source"].startswith("data:image/png;base64,")
 
 
-@pytest.mark.parametrize("name", shipped_categories())
+@pytest.mark.parametrize("name", CATEGORIES)
 def test_page_is_small_and_needs_nothing_else(name):
     text = page(name)
     assert len(text.encode()) < 250_000
@@ -191,7 +191,7 @@ def said_in_browser(tmp_path_factory) -> dict:
     if BROWSER is None:
         pytest.skip("no Chromium or Chrome on the path: the page was not opened")
     folder, frames = tmp_path_factory.mktemp("browser"), GATHER
-    for name in shipped_categories():
+    for name in CATEGORIES:
         text = page(name).replace("<title>", CATCH + "<title>", 1).replace("</body>", ACT + "</body>")
         (folder / f"{name}.html").write_text(text, encoding="utf-8")
         frames += f'<iframe name="{name}" src="{name}.html" width="420" height="900"></iframe>'
@@ -210,7 +210,7 @@ def said_in_browser(tmp_path_factory) -> dict:
     return json.loads(unquote(found[0]))
 
 
-@pytest.mark.parametrize("name", shipped_categories())
+@pytest.mark.parametrize("name", CATEGORIES)
 def test_in_a_browser(name, said_in_browser):
     said, data = said_in_browser[name], data_of(page(name))
     assert said["errors"] == []

@@ -20,6 +20,8 @@ from omad.__main__ import main
 main()
 """
 KNOWN = {drill.name: drill for drill in DRILLS}
+KILLED = [name for name in KNOWN if name != "train confidence"]
+"""That one takes minutes: benchmarks/kill_drill.py has it."""
 ESTIMATE = Drill("estimate", ["estimate", "frames/frame_00.png", *LAPTOP, *K, "--output", "out"])
 
 
@@ -29,7 +31,9 @@ def here(tmp_path, monkeypatch):
     prepare()
 
 
-@pytest.mark.parametrize("name", KNOWN)
+@pytest.mark.parametrize(
+    "name", [name for name in KNOWN if name != "train confidence"]
+)  # minutes: kill_drill.py has it
 def test_what_was_killed_is_done_by_the_next_run(name):
     assert not kill_and_finish(KNOWN[name], KILLS, 0)
 

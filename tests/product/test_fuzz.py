@@ -56,7 +56,7 @@ def test_odd_arguments_are_refused_in_one_line(name, callable_, tmp_path):
 
 @pytest.mark.slow
 def test_commands_with_spoilt_files_and_options_end_with_one_line(runnable, tmp_path):
-    assert not [failure for command in runnable for failure in tried(command, 3, tmp_path)]
+    assert not [failure for command in runnable for failure in tried(command, 2, tmp_path)]
 
 
 def tried(target: Target | Command | Call, count: int, folder: Path) -> list[str]:

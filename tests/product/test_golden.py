@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from helpers.categories import CATEGORIES
 from omad.data.procedural import generate
 from omad.data.source import load_views
 from omad.estimation.estimator import Estimator
@@ -13,32 +14,39 @@ from omad.evaluation.metrics import pose_errors
 from omad.evaluation.robustness.experiment import measure, scenes_from
 from omad.evaluation.robustness.rows import CLEAN, ROWS
 from omad.evaluation.view_agreement import compare_views
-from omad.model.checkpoint import find_weights, load
+from omad.model.checkpoint import find_weights, load, shipped_categories
 from omad.model.omadnet import OmadNet
 from omad.model.priornet import PriorNet
 from omad.objects.pose import ObjectPose
 from omad.sensing.observation import Observation
 
 DATA = Path(__file__).parents[1] / "golden"
-# Of answers that are not doubtful:
+# Of answers that are not passed over:
 # mean joint state error (degrees, or category units), mean axis error in degrees, mean axis distance in category units
 LIMITS = {
+    "cabinet_one_door": (3.9, 3.2, 0.045),
     "dishwasher": (2.5, 1.4, 0.05),
     "drawer": (0.065, 1.6, None),
+    "drawer_5": (0.11, 2.6, None),
     "eyeglasses": (3.2, 2.7, 0.02),
     "laptop": (1.6, 1.4, 0.026),
+    "microwave": (3.2, 2.4, 0.05),
+    "oven": (4.4, 1.9, 0.06),
+    "refrigerator": (3.1, 2.5, 0.04),
     "scissors": (3.8, 1.9, 0.02),
+    "stapler": (6.6, 2.8, 0.095),
 }
-DOUBTFUL = 1
-"""Of 24 answers, at most."""
+PASSED_OVER = {"cabinet_one_door": 7, "drawer_5": 8, "microwave": 5, "refrigerator": 3, "stapler": 9}
+"""Of 24 answers, at most so many are doubtful, or take the object for one of the other hand; 1 of other categories."""
 
 
-@pytest.fixture(scope="module", params=sorted(LIMITS))
+@pytest.fixture(scope="module", params=sorted(CATEGORIES))
 def name(request) -> str:
     return request.param
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("name", shipped_categories())
 def test_errors_stay_below_the_stated_ones(name):
     estimator = Estimator.from_pretrained(name, device="cpu")
     category = estimator.category
@@ -49,11 +57,11 @@ def test_errors_stay_below_the_stated_ones(name):
     estimates = estimator(observations)
     found = []
     for i, estimate in enumerate(estimates):
-        if estimate.doubtful:
+        if estimate.doubtful or estimate.of_other_hand:
             continue
         truth = ObjectPose(data["states"][i], data["axes"][i], data["pivots"][i], data["T_camera_part"][i])
         found.append(pose_errors(estimate.pose(), truth, data["part_boxes"][i], category))
-    assert len(found) >= len(estimates) - DOUBTFUL
+    assert len(found) >= len(estimates) - PASSED_OVER.get(name, 1)
     state = np.array([e.joint_state for e in found])
     axis = np.degrees([e.axis for e in found])
     distance = np.array([e.axis_distance for e in found]) / unit

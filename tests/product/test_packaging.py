@@ -1,15 +1,21 @@
 """What is shipped: a small wheel without the baselines, which come apart, and workflows that build and publish both."""
 
+import json
+import re
+import shlex
 import subprocess
 import sys
 import tomllib
 import zipfile
+from fnmatch import fnmatch
 from pathlib import Path
 
 import pytest
 import yaml
 
 from omad import __version__
+from omad.cli.main import parse
+from omad.cli.scale.serve import Serve
 
 ROOT = Path(__file__).parents[2]
 
@@ -34,6 +40,35 @@ def test_the_wheel_is_small_and_the_baselines_come_apart(tmp_path):
     assert not own & apart
     assert not [name for name in own if "/ancsh/" in name and "/weights/" in name]
     assert {"omad/output/page.html", "omad/applications/tracking/page.html", "omad/py.typed"} <= own
+
+
+def steps() -> list[tuple[str, str]]:
+    """Instructions of the container file and what follows them."""
+    text = (ROOT / "packaging/container/Containerfile").read_text()
+    lines = re.sub(r"\\\n", " ", text).splitlines()
+    return [(word, rest) for word, _, rest in (line.partition(" ") for line in lines if line and line[0] != "#")]
+
+
+def test_the_container_serves_as_nobody_and_tells_whether_it_is_well():
+    """As far as it can be told without an engine that builds it; that its wheel is built is tested above."""
+    told = dict(steps())
+    assert told["FROM"].startswith("docker.io/library/python:3.")
+    [copied] = [shlex.split(rest)[:-1] for word, rest in steps() if word == "COPY"]
+    for source in copied:
+        assert (ROOT / source).is_file() or fnmatch(f"dist/omad-{__version__}-py3-none-any.whl", source)
+    assert told["USER"] not in ("root", "0")
+    assert [word for word, _ in steps()].count("USER") == 1
+    command = json.loads(told["ENTRYPOINT"]) + json.loads(told["CMD"])
+    served = parse(command[1:])
+    assert command[0] == "omad"
+    assert isinstance(served, Serve)
+    assert (served.host, str(served.port)) == ("0.0.0.0", told["EXPOSE"])
+    checked = json.loads(told["HEALTHCHECK"].partition("CMD ")[2])
+    compile(checked[2], "the health check", "exec")
+    assert f":{served.port}/health" in checked[2]
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    assert "serve" in extras
+    assert "[serve]" in " ".join(rest for word, rest in steps() if word == "RUN")
 
 
 def test_versions_agree():

@@ -7,14 +7,13 @@ import pytest
 import torch
 import trimesh
 
-from helpers.categories import EVERY
+from helpers.categories import CATEGORIES, EVERY
 from omad.common.errors import InputError
 from omad.data.procedural import generate
 from omad.data.rendering.depth_noise import ON, add_noise
 from omad.data.rendering.rasteriser import rasterise
 from omad.data.rendering.standard_views import standard_view
 from omad.geometry.camera import STANDARD_CAMERA, Camera
-from omad.model.checkpoint import shipped_categories
 from omad.sensing.observation import Observation
 from omad.sensing.thin_parts import with_thin_parts
 
@@ -214,7 +213,7 @@ THIN = (0.9, 0.6)
 
 @pytest.mark.slow
 @pytest.mark.parametrize("noisy", [False, True])
-@pytest.mark.parametrize("name", shipped_categories())
+@pytest.mark.parametrize("name", CATEGORIES)
 def test_an_object_is_cut_out_of_clutter(name: str, noisy: bool) -> None:
     """Most scenes succeed by themselves, and those that do not are announced."""
     usual, least = THIN if name in ("eyeglasses", "scissors") else (0.95, 0.8)

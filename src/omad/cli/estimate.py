@@ -7,7 +7,7 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -21,18 +21,13 @@ from omad.common.lazy import lazy_imports
 from omad.sensing.input_options import FrameOptions, InputOptions
 
 from .answer import Answer, state, state_and_std, table
-from .options import BUILT_IN, OWN, CategoriesCommand, CategoryCommand, Fast, check_positive
+from .options import BUILT_IN, OWN, CategoriesCommand, CategoryCommand, Fast, ToSurface, check_positive
 
 with lazy_imports():
-    from numpy import stack
-
     from omad.applications.detection import picture as detection_picture
-    from omad.applications.detection.cutting import ObjectFinder
     from omad.applications.detection.detector import Detector
+    from omad.applications.solver import Found, Solver
     from omad.estimation import world
-    from omad.estimation.category_ranking import Candidate, rank, suspected
-    from omad.estimation.checks import Check, camera_doubts, doubts, is_doubtful
-    from omad.estimation.several_views import contradictions
     from omad.model.checkpoint import shipped_categories
     from omad.output import picture
     from omad.output.formats import check_formats, save_formats
@@ -72,6 +67,7 @@ class EstimateCommand(CategoryCommand):
     """Of an object that stands upright: x,y,z, where down is in the camera frame (y is down in a level camera); or
     world, for --world or --together with z up."""
     fast: Fast = False
+    to_surface: ToSurface = False
     strict: bool = False
     """Exit with code 1 where an answer is doubtful: rather wrong than right, by its probability."""
     compare: bool = False
@@ -93,7 +89,11 @@ class EstimateCommand(CategoryCommand):
         if auto and (self.weights is not None or self.together):
             option = "--together" if self.together else "--weights"
             raise InputError(f"--category auto: does not go with {option}; leave that out, or name a category")
-        solver = _Solver(None if auto else self.estimator(self.fast), known, self.compare, self.device)
+        if self.to_surface and self.together:
+            raise InputError("--to-surface: each of several views would go its own way; leave it or --together out")
+        chosen = None if auto else self.estimator(self.fast)
+        every = partial(_all_categories, chosen, self.device)
+        solver = Solver(chosen, every, known, self.compare, self.to_surface)
         reader = replace(reader, find=solver.find)
         if self.together:
             read = [_Read.of(file, name, reader) for file, name in zip(files, _folder_names(files), strict=True)]
@@ -134,7 +134,7 @@ class EstimateCommand(CategoryCommand):
             raise InputError(f"--together: {len(self.together)} poses for {inputs} inputs; give one file for each")
         return [read_transform(file, "T_world_camera") for file in self.together]
 
-    def _finish(self, view: _Read, found: _Found, T_world_camera: Any) -> dict[str, Any]:
+    def _finish(self, view: _Read, found: Found, T_world_camera: Any) -> dict[str, Any]:
         """Write the answer to one input; what is said of it."""
         folder = self.output / view.name
         found.estimate.seconds["read"] = view.seconds
@@ -150,7 +150,7 @@ class EstimateCommand(CategoryCommand):
         return {"input": str(view.file), "output": str(folder), **record}
 
     def _write(
-        self, observation: omad.Observation, found: _Found, folder: Path, file: Path, T_world_camera: Any
+        self, observation: omad.Observation, found: Found, folder: Path, file: Path, T_world_camera: Any
     ) -> None:
         """All files of one input but the JSON, and what a person should read of it on stderr."""
         estimate = found.estimate
@@ -287,83 +287,11 @@ class _Read:
         return cls(file, name, observation, time.perf_counter() - began)
 
 
-@dataclass(frozen=True)
-class _Found:
-    """The answer to one input."""
-
-    estimate: omad.Estimate
-    checks: list[Check]
-    ranked: list[Candidate]
-    """All categories, best first, where they were compared."""
-
-    none: bool = False
-    """It is of none of the categories: the estimate is by the one that it is likest."""
-
-    @property
-    def doubtful(self) -> bool:
-        return is_doubtful(self.estimate, self.checks)
-
-    def to_dict(self) -> dict[str, Any]:
-        return {**self.estimate.to_dict(), **self._doubts()}
-
-    def none_of_them(self) -> dict[str, Any]:
-        """What is said of a thing that is of none of the categories."""
-        estimate, nothing = self.estimate, {"category": None, "converged": False, "joints": [], "parts": []}
-        return {**nothing, "probability": estimate.probability, "warnings": [*estimate.warnings], **self._doubts()}
-
-    def _doubts(self) -> dict[str, Any]:
-        ranked = {"categories": [candidate.to_dict() for candidate in self.ranked]} if self.ranked else {}
-        return {"doubtful": self.doubtful, "checks": [check.to_dict() for check in self.checks], **ranked}
-
-
-@dataclass(frozen=True)
-class _Solver:
-    """Estimates with one category, or with the one of several that explains an observation best."""
-
-    chosen: omad.Estimator | None
-    """Of the category asked for; None: of any."""
-    known: omad.Known
-    compare: bool
-    device: str
-
-    def __call__(self, observation: omad.Observation, depth_scale: float | None) -> _Found:
-        if self.chosen is None:
-            if not (ranked := rank(observation, self.all, self.known)):
-                raise InputError("is of none of the categories, at no size; check depth scale, mask and intrinsics")
-            best = ranked[0].estimate
-            return _Found(best, doubts(observation, best, depth_scale), ranked, none=bool(best.doubtful))
-        chosen = self.chosen
-        estimate = chosen(observation, self.known)
-        checks, ranked = doubts(observation, estimate, depth_scale), []
-        if not estimate.is_finite:
-            raise InputError(f"no answer: {checks[0]}")
-        if not checks and estimate.is_finite:
-            checks += camera_doubts(observation, estimate, lambda views: chosen(views, self.known))
-        odd_size = any(check.name == "size" for check in checks)  # of which every category says anything
-        if (checks and not odd_size) or self.compare:
-            ranked = rank(observation, self.all, self.known)
-            checks += suspected(estimate, ranked)
-        return _Found(estimate, checks, ranked)
-
-    def together(
-        self, views: Sequence[omad.Observation], poses: Sequence[Any], depth_scale: float | None
-    ) -> list[_Found]:
-        """Views of one object, by the category asked for."""
-        assert self.chosen is not None
-        estimates = self.chosen(views, self.known, T_world_camera=stack(poses))
-        rows = zip(views, estimates, strict=True)
-        return [_Found(e, [*doubts(view, e, depth_scale), *contradictions(e)], []) for view, e in rows]
-
-    def find(self, frame: omad.Observation, box: Sequence[float] | None) -> omad.Observation:
-        """The object in a whole frame. Raises InputError."""
-        return ObjectFinder(Detector([self.chosen] if self.chosen else self.all))(frame, box)
-
-    @cached_property
-    def all(self) -> list[omad.Estimator]:
-        """The one chosen, and those of all other categories with shipped weights."""
-        found = [self.chosen] if self.chosen else []
-        others = sorted({*shipped_categories()} - {estimator.category.name for estimator in found})
-        return found + [omad.Estimator.from_pretrained(name, self.device) for name in others]
+def _all_categories(chosen: omad.Estimator | None, device: str) -> list[omad.Estimator]:
+    """The one chosen, and those of all other categories with shipped weights."""
+    found = [chosen] if chosen else []
+    others = sorted({*shipped_categories()} - {estimator.category.name for estimator in found})
+    return found + [omad.Estimator.from_pretrained(name, device) for name in others]
 
 
 def _folder_names(files: Sequence[Path]) -> list[str]:

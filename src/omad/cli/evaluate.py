@@ -19,7 +19,21 @@ from omad.common.lazy import lazy_imports
 from omad.common.user_cache import kept_at
 
 from .answer import Answer, table
-from .options import CategoryCommand, Device, Fast, Json, Models, Views, check_positive, checkpoints, load_prior
+from .options import (
+    CategoryCommand,
+    Cluster,
+    Device,
+    Fast,
+    Json,
+    Models,
+    ToSurface,
+    Views,
+    check_positive,
+    check_workers,
+    checkpoints,
+    everywhere,
+    load_prior,
+)
 
 with lazy_imports():
     from numpy import ndarray
@@ -29,6 +43,7 @@ with lazy_imports():
     from omad.evaluation.baselines import adam
     from omad.evaluation.baselines.siamese import SiameseEncoder
     from omad.evaluation.evaluate import draw_worst, evaluate, summary
+    from omad.evaluation.evaluate_shards import PoseWork, from_rows
     from omad.evaluation.keypoint_spread import keypoint_spread
     from omad.evaluation.paper import published
     from omad.evaluation.paper.predictions import weights_identity
@@ -53,22 +68,45 @@ class EvalPose(CategoryCommand):
     method: Literal["least_squares", "adam"] = "least_squares"
     """How to refine; adam: the paper's own recipe, for comparison."""
     fast: Fast = False
+    to_surface: ToSurface = False
     pictures: Path | None = None
     """Folder for pictures of the worst views."""
+    scale: OmitArgPrefixes[Cluster] = Cluster()
+    output: Path | None = None
+    """With --cluster: where the errors of all views are put."""
+    workers: int = 0
+    """With --cluster where there is no Ray: processes; 0: one a core."""
 
     def run(self) -> Answer:
         self.data.check()
+        if self.scale.cluster:
+            return self._in_shards()
         estimator = self.estimator(self.fast, **({"refine": adam.adam_refinement} if self.method == "adam" else {}))
         if self.pictures is not None:
             make_folder(self.pictures)
         category = estimator.category
         source = self.data.load(category)
-        results = evaluate(estimator, source.views, source.total)
-        answer = summary(results, category, self.data.source)
+        results = evaluate(estimator, source.views, source.total, to_surface=self.to_surface)
+        answer = summary([result.measured for result in results], category, self.data.source)
         answer |= {"depth_noise": source.noisy, "refused": source.refused}
         if self.pictures is not None:
             answer["pictures"] = draw_worst(results, category, self.pictures)
         return Answer(answer, pose_text, 1 if answer["failures"] == len(results) else 0)
+
+    def _in_shards(self) -> Answer:
+        if self.output is None:
+            raise InputError("--output: is missing; give a folder or an address for --cluster")
+        if self.method != "least_squares" or self.pictures is not None:
+            raise InputError("--method, --pictures: do not go with --cluster; leave them out")
+        workers, category, data = check_workers(self.workers), self.estimator().category, self.data
+        source = data.load(category)
+        drawn = (everywhere(data.source), data.objects, data.views, data.seed, data.depth_noise, data.broken)
+        work = PoseWork(everywhere(self.weights) or self.category, self.device, self.fast, *drawn)
+        made_of = {**asdict(work), "weights": str(work.weights), "version": omad.__version__}
+        done = self.scale.run(work, source.total, self.output, made_of, workers, self.device)
+        answer = summary([*from_rows(done.plan.rows())], category, data.source)
+        answer |= {"depth_noise": source.noisy, "refused": source.refused, "run": done.to_dict()}
+        return Answer(answer, pose_text, 1 if answer["failures"] == answer["views"] else 0)
 
 
 def pose_text(answer: dict[str, Any]) -> str:
@@ -90,7 +128,7 @@ def pose_text(answer: dict[str, Any]) -> str:
     seen = f"{answer['views']} views of {answer['objects']} objects"
     head = f"{answer['category']}, {answer['source']}: {seen}, mean / median / 90th percentile"
     seconds = {key: "-" if value is None else f"{1000 * value:.1f} ms" for key, value in answer["seconds"].items()}
-    times = ", ".join(f"{key} {seconds[key]}" for key in ("network", "refinement"))
+    times = ", ".join(f"{key} {spent}" for key, spent in seconds.items())
     refused = [f"refused {each['name']}: {each['reason']}" for each in answer["refused"]]
     return "\n".join([head, table(rows), f"failures {answer['failures']}; per image: {times}", *refused])
 

@@ -21,8 +21,13 @@ from .options import BrokenFiles, CategoryCommand, Device, Json, Seed, Weights, 
 with lazy_imports():
     from omad.applications.retrieval import catalogue
     from omad.applications.retrieval.index import Hit
+    from omad.applications.retrieval.large.large_index import LargeIndex, open_index
+    from omad.applications.retrieval.large.parts import Portion
+    from omad.applications.retrieval.large.stream import portions_of_inputs, portions_of_models
     from omad.applications.retrieval.picture import ranking_figure
     from omad.applications.retrieval.signature import Space, estimate_signature, fuse, prior_fingerprint
+    from omad.common.batches import progress
+    from omad.data.rendering.standard_views import View
     from omad.data.source import kind_of, load_models, load_views
     from omad.model.checkpoint import find_weights
     from omad.output.picture import save
@@ -37,7 +42,8 @@ class IndexBuild(CategoryCommand):
     """Build a catalogue from object models, from rendered views, or from depth images and clouds of your own."""
 
     output: Path
-    """The index: one file, written whole or not at all."""
+    """The index: one file, written whole or not at all; with --backend disk a folder, which is added to if it is there
+    already. What was interrupted goes on when the same command is given again."""
     source: str = "procedural"
     """procedural; a folder of URDF / PartNet-Mobility models; a folder that ``omad render`` made, or an ArtImage root;
     or a folder of depth images and clouds (a sub-folder an object, or each file an object)."""
@@ -48,8 +54,9 @@ class IndexBuild(CategoryCommand):
     distance of the shape parameters, as in the paper; whitened: in standard deviations of them."""
     fuse: bool = True
     """One entry an object, from all of its views together; --no-fuse: an entry a view."""
-    backend: Literal["exact", "faiss"] = "exact"
-    """exact: compares all entries, fast up to a million; faiss: nearly exact, for many millions (an extra)."""
+    backend: Literal["exact", "faiss", "disk"] = "exact"
+    """exact: compares all entries, fast up to a million; faiss: nearly exact, for many millions; disk: nearly exact, of
+    a stream, for more than memory holds. The last two are an extra."""
     reading: OmitArgPrefixes[InputOptions] = InputOptions()
     broken: BrokenFiles = "refuse"
     seed: Seed = 0
@@ -57,7 +64,10 @@ class IndexBuild(CategoryCommand):
     def run(self) -> Answer:
         check_positive(objects=self.objects, depth_scale=self.reading.depth_scale)
         estimator = self.estimator()
-        index = omad.ShapeIndex(Space.of(estimator.net.prior, estimator.category, self.metric), self.backend)
+        space = Space.of(estimator.net.prior, estimator.category, self.metric)
+        if self.backend == "disk":
+            return self._on_disk(estimator, space)
+        index = omad.ShapeIndex(space, self.backend)
         found = self._catalogued(estimator)
         if not found.entries:
             raise InputError(f"{self.source}: none of its {len(found.refused)} inputs can be used; see omad estimate")
@@ -68,14 +78,55 @@ class IndexBuild(CategoryCommand):
         record |= {"backend": self.backend, "entries": len(index), "objects": len(names), "refused": found.refused}
         return Answer(record)
 
+    def _on_disk(self, estimator: omad.Estimator, space: Space) -> Answer:
+        index, refused = LargeIndex.create(self.output, space), list[dict[str, str]]()
+        source = f"{self.source} {self.seed}" if self.source == "procedural" else str(Path(self.source).absolute())
+        index.add(self._portions(estimator, index.taken(source), refused), source)
+        if not len(index):
+            raise InputError(f"{self.source}: none of its {len(refused)} inputs can be used; see omad estimate")
+        record = {"index": str(self.output), "category": space.category, "metric": self.metric}
+        return Answer(record | {"backend": self.backend, "entries": len(index), "refused": refused})
+
+    def _portions(self, estimator: omad.Estimator, taken: int, refused: list[dict[str, str]]) -> Iterator[Portion]:
+        """All that the source holds, without its first ``taken`` inputs."""
+        folder, category = Path(self.source), estimator.category
+        if kind_of(self.source).images is not None:
+            views = load_views(self.source, category, 1, 1, self.seed, "off", self.broken, taken)
+
+            def seen(some: list[View]) -> Iterator[catalogue.Seen]:
+                return catalogue.seen_views(some, len(some), self.source, refused)
+
+            rest = progress(views.views, views.total, done=taken)
+            return portions_of_inputs(estimator, rest, lambda view: view.object, seen, self.fuse)
+        if files := self._files():
+            rest = progress(files[taken:], len(files), unit="file", done=taken)
+            return portions_of_inputs(
+                estimator,
+                rest,
+                lambda file: catalogue.object_of(file, folder),
+                lambda some: self._read(folder, some, refused),
+                self.fuse,
+            )
+        net = load_prior(find_weights(self.weights or self.category) / "prior", self.device)
+        models = load_models(self.source, category, self.objects, "test", self.seed)
+        refused += models.refused
+        return portions_of_models(net, models.models[taken:], self.source)
+
+    def _files(self) -> list[Path]:
+        """Depth images and clouds, where the source is a folder of such."""
+        folder = Path(self.source)
+        if self.source == "procedural" or next(folder.rglob("*.urdf"), None):
+            return []
+        return files_in(folder, "**/[!.]*")
+
     def _catalogued(self, estimator: omad.Estimator) -> catalogue.Catalogued:
-        folder, category, own = Path(self.source), estimator.category, self.source != "procedural"
+        category = estimator.category
         refused: list[dict[str, str]] = []
         if kind_of(self.source).images is not None:
             views = load_views(self.source, category, 1, 1, self.seed, "off", self.broken)
             seen, refused = catalogue.seen_views(views.views, views.total, self.source, views.refused), views.refused
-        elif own and not next(folder.rglob("*.urdf"), None) and (files := files_in(folder, "**/[!.]*")):
-            seen = self._read(folder, files, refused)
+        elif files := self._files():
+            seen = self._read(Path(self.source), files, refused)
         else:  # models, whose meshes look like clouds
             net = load_prior(find_weights(self.weights or self.category) / "prior", self.device)
             models = load_models(self.source, category, self.objects, "test", self.seed)
@@ -92,13 +143,35 @@ class IndexBuild(CategoryCommand):
 
 
 @dataclass(frozen=True, kw_only=True)
+class IndexMerge:
+    """Put catalogues that were built apart, by several machines say, into one on disk; what is in already stays out."""
+
+    indices: Positional[tuple[Path, ...]]
+    """Catalogues of the same weights and metric, of any backend."""
+    output: Path
+    """Folder of a catalogue, new or to be added to."""
+    json: Json = False
+
+    def run(self) -> Answer:
+        if not self.indices:
+            raise InputError("no catalogue to merge; give at least one")
+        into: LargeIndex | None = None
+        for path in self.indices:
+            index = open_index(path)
+            into = into or LargeIndex.create(self.output, index.space)
+            into.merge(index, str(path.absolute()))
+        entries = 0 if into is None else len(into)
+        return Answer({"index": str(self.output), "merged": [*map(str, self.indices)], "entries": entries})
+
+
+@dataclass(frozen=True, kw_only=True)
 class IndexQuery:
     """Ask a catalogue which object this is: one depth image or cloud, or several of the same object."""
 
     inputs: Positional[tuple[Path, ...]]
     """Depth images or clouds; several are taken for views of one object, and count together."""
     index: Path
-    """What ``omad index build`` wrote."""
+    """What ``omad index build`` or ``merge`` wrote."""
     count: int = 5
     """Objects to name."""
     by_information: bool = False
@@ -112,7 +185,7 @@ class IndexQuery:
 
     def run(self) -> Answer:
         check_positive(count=self.count, depth_scale=self.reading.depth_scale)
-        index, files = omad.ShapeIndex.load(self.index), input_files(self.inputs)
+        index, files = open_index(self.index), input_files(self.inputs)
         reader = InputReader.of(self.reading, files)
         estimator = omad.Estimator.from_pretrained(self.weights or index.space.category, self.device)
         prior = prior_fingerprint(estimator.net.prior, estimator.category)

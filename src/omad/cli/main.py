@@ -19,15 +19,16 @@ from omad.common.files import NO_ROOM, one_line
 from omad.common.signals import end_at_once, exit_code, raise_in_work
 
 from .answer import as_json
-from .bulk import Bulk
 from .estimate import Detect, EstimateCommand
 from .evaluate import EvalKeypoints, EvalPose, EvalRetrieval, EvalRobustness, EvalShape, EvalViews
 from .explore import Explore
 from .figures import FigureKeypoints, FigureOcclusion, FigureQualitative, FigureSweep, FigureTsne
-from .index import IndexBuild, IndexQuery
+from .index import IndexBuild, IndexMerge, IndexQuery
 from .models import Generate, Import, Render
 from .paper import EvalAblation, EvalTable1, EvalTable2
-from .shipped import Compile, Demo, Export, Info
+from .scale.bulk import Bulk
+from .scale.serve import Serve
+from .shipped import Compile, Demo, Deploy, Export, Info
 from .track import Track
 from .training.all import TrainAll
 from .training.networks import TrainAncsh, TrainConfidence, TrainNet, TrainPrior, TrainSiamese, TrainSurface
@@ -53,9 +54,9 @@ _EVAL = {"pose": EvalPose, "keypoints": EvalKeypoints, "views": EvalViews, "tabl
 _EVAL |= {"shape": EvalShape, "ablation": EvalAblation, "retrieval": EvalRetrieval, "robustness": EvalRobustness}
 _FIGURE = {"qualitative": FigureQualitative, "keypoints": FigureKeypoints, "sweep": FigureSweep}
 _FIGURE |= {"occlusion": FigureOcclusion, "tsne": FigureTsne}
-_INDEX = {"build": IndexBuild, "query": IndexQuery}
+_INDEX = {"build": IndexBuild, "merge": IndexMerge, "query": IndexQuery}
 COMMANDS: dict[str, Any] = {"demo": Demo, "estimate": EstimateCommand, "detect": Detect, "bulk": Bulk}
-COMMANDS |= {"track": Track, "explore": Explore}
+COMMANDS |= {"track": Track, "explore": Explore, "serve": Serve}
 COMMANDS |= {"generate": Generate, "import": Import, "render": Render}
 COMMANDS["train"] = Group(
     "Train a category: its prior, then its network, then its confidence; or the baselines.", _TRAIN
@@ -63,7 +64,7 @@ COMMANDS["train"] = Group(
 COMMANDS["eval"] = Group("Measure accuracy on objects with known truth.", _EVAL)
 COMMANDS["figure"] = Group("Draw figures from weights: results, keypoints, sweeps, occlusion, t-SNE.", _FIGURE)
 COMMANDS["index"] = Group("Which object is this: a catalogue of objects that is asked with a view.", _INDEX)
-COMMANDS |= {"export": Export, "info": Info, "compile": Compile}
+COMMANDS |= {"export": Export, "deploy": Deploy, "info": Info, "compile": Compile}
 
 
 def main() -> None:

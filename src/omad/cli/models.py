@@ -1,19 +1,21 @@
 """The commands that make object models and views of them: ``omad generate``, ``omad import``, ``omad render``."""
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import tyro
+from tyro.conf import OmitArgPrefixes
 
 import omad
 from omad.common.errors import InputError
 from omad.common.lazy import lazy_imports
 
 from .answer import Answer
-from .options import CategoryName, DepthNoise, Json, Seed, Split, check_positive, check_workers
+from .options import CategoryName, Cluster, DepthNoise, Json, Seed, Split, check_positive, check_workers, everywhere
 
 with lazy_imports():
+    from omad.applications.cluster.render import RenderWork
     from omad.data.artimage import write_artimage
     from omad.data.rendering import depth_noise as noises
     from omad.data.rendering.view_folder import render_to_folder
@@ -117,6 +119,7 @@ class Render:
     at random. docs/robustness.md says what is written."""
     workers: int = 1
     """Processes that render at a time; 0: one a core. The views are the same for any number."""
+    scale: OmitArgPrefixes[Cluster] = Cluster()
     json: Json = False
 
     def run(self) -> Answer:
@@ -128,9 +131,27 @@ class Render:
             )
         category = omad.get_category(self.category)
         source = load_models(self.source, category, self.objects, self.split, self.seed)
+        if self.scale.cluster:
+            return self._in_shards(workers)
         noise, drawn = noises.LEVELS[self.depth_noise], (source.models, category, self.output, self.views)
         if self.layout == "artimage":
             write_artimage(*drawn, self.split, self.seed, noise, workers, progress=True)
         else:
             render_to_folder(*drawn, self.seed, noise, workers, progress=True, clutter=self.clutter)
         return Answer({"folder": str(self.output), "views": self.views, "refused": source.refused})
+
+    def _in_shards(self, workers: int) -> Answer:
+        if self.layout != "omad":
+            raise InputError(f"--layout {self.layout}: is of folders; leave it out, or --cluster")
+        drawn = (
+            everywhere(self.category),
+            everywhere(self.source),
+            self.objects,
+            self.split,
+            self.seed,
+            self.depth_noise,
+            self.clutter,
+        )
+        work = RenderWork(*drawn)
+        made_of = {**asdict(work), "version": omad.__version__}
+        return Answer(self.scale.run(work, self.views, self.output, made_of, workers, "cpu").to_dict())

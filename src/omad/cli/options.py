@@ -13,11 +13,16 @@ import tyro
 import omad
 from omad.common.errors import InputError, shown
 from omad.common.lazy import lazy_imports
+from omad.common.limits import check_limit
 from omad.objects.builtin import builtin_names
 
 with lazy_imports():
     from torch import set_num_threads
 
+    from omad.applications.cluster.engines import choose_engine
+    from omad.applications.cluster.shards import Plan, Sharded, Work, run_shards
+    from omad.applications.store import Store
+    from omad.common.incoming import is_path
     from omad.common.runtime import cores, keep_freed_memory, pick_device
     from omad.data.source import ModelSource, ViewSource, load_models, load_views
     from omad.evaluation.paper.predictions import data_identity
@@ -40,6 +45,8 @@ Weights = Annotated[
     Path | None, tyro.conf.arg(help="Checkpoint folder, or its address, in place of the shipped weights.")
 ]
 Fast = Annotated[bool, tyro.conf.arg(help="Look half as often: nearly twice as fast, a little less accurate.")]
+_TO_SURFACE = "Go on towards the fit to the surface, as far as that helped on unseen objects; takes 0.2 seconds more."
+ToSurface = Annotated[bool, tyro.conf.arg(help=_TO_SURFACE)]
 Split = Annotated[Literal["train", "test"], tyro.conf.arg(help="test: objects that no training has seen.")]
 _NOISE = "How much of a stereo camera's noise is simulated; folders of images have their own."
 DepthNoise = Annotated[Literal["off", "half", "on", "double"], tyro.conf.arg(help=_NOISE)]
@@ -84,6 +91,34 @@ class CategoriesCommand:
         """Folders of checkpoints, one a category, with what is made of them. Raises InputError where there is none."""
         for folder in checkpoints(self.weights, self.categories):
             yield folder, omad.Estimator.from_pretrained(folder, self.device)
+
+
+@dataclass(frozen=True)
+class Cluster:
+    """Work in shards."""
+
+    cluster: bool = False
+    """In shards, on the Ray cluster that RAY_ADDRESS names, else on all cores of this machine; without Ray
+    (pip install 'omad[cluster]') in processes. --output is then a folder, or an address that fsspec knows (s3://...),
+    of Parquet files; shards that are there are not made again."""
+    shard: int = 256
+    """Images in each file, with --cluster."""
+
+    def run(self, work: Work, total: int, output: Path, made_of: dict[str, Any], workers: int, device: str) -> Sharded:
+        """Make all shards. Raises InputError, WorkError."""
+        check_positive(shard=self.shard)
+        plan = Plan(Store.of(output), work, total, self.shard)
+        return Sharded(plan, run_shards(plan, made_of, choose_engine(workers, gpus=float(device == "cuda"))))
+
+
+NAMES = ("procedural", "unusual", "mirrored", *builtin_names())
+"""Of sources and categories, which are no files even where files are called so."""
+
+
+def everywhere(name: Any) -> Any:
+    """A path as another process finds it, whatever folder it works in; all else as it is."""
+    there = isinstance(name, str | Path) and name not in NAMES and is_path(name)
+    return type(name)(Path(name).absolute()) if there else name
 
 
 @dataclass(frozen=True)
@@ -162,13 +197,16 @@ def load_prior(folder: Path, device: str) -> PriorNet:
 
 
 def check_positive(**options: float | None) -> None:
-    """Raises InputError for an option that is not above zero; None is an option that was not given."""
+    """Raises InputError for an option that is not above zero, and for more objects or views than a machine can bear;
+    None is an option that was not given."""
     for name, value in options.items():
         if value is not None and not (0 < value <= LARGEST and (isinstance(value, int) or value >= 1 / LARGEST)):
             if value > LARGEST:
                 raise InputError(f"--{name.replace('_', '-')} {shown(value)}: must be at most {LARGEST:g}")
             need = "at least 1" if isinstance(value, int) else "a number above 0"
             raise InputError(f"--{name.replace('_', '-')} {value}: must be {need}")
+        if value is not None and name in ("objects", "views"):
+            check_limit(name, value, f"--{name}")
 
 
 def check_workers(workers: int) -> int:

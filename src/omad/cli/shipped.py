@@ -1,4 +1,4 @@
-"""The commands about what is shipped: ``omad demo``, ``omad export``, ``omad info``, ``omad compile``."""
+"""The commands about what is shipped: ``omad demo``, ``export``, ``deploy``, ``info``, ``compile``."""
 
 import platform
 import time
@@ -12,11 +12,12 @@ from omad.common.lazy import lazy_imports
 from omad.objects.builtin import builtin_names
 
 from .answer import Answer, state, state_and_std, table
-from .options import CategoryName, Device, Json, Seed, Weights, check_category, check_positive
+from .options import CategoryName, Device, Fast, Json, Seed, Weights, check_category, check_positive
 
 with lazy_imports():
     from numpy import savez
 
+    from omad.applications.deployment.export import deploy
     from omad.common.compiled import COMPILED
     from omad.common.runtime import pick_device
     from omad.data.procedural import generate
@@ -25,8 +26,8 @@ with lazy_imports():
     from omad.estimation.confidence.model import Confidence
     from omad.evaluation.demo import run_demo
     from omad.model.checkpoint import find_weights, load, save, shipped_categories
-    from omad.model.fetched import write_manifest
     from omad.model.omadnet import OmadNet
+    from omad.model.storage.fetched import write_manifest
     from omad.model.surfaces.bank import bank_beside
 
 
@@ -102,6 +103,27 @@ class Export:
             files.append(bank.name)
         write_manifest(self.output)
         return Answer({"folder": str(self.output), "files": [*files, "manifest.json"]})
+
+
+@dataclass(frozen=True, kw_only=True)
+class Deploy:
+    """Write an estimator as a program of its own, for machines without PyTorch: two ONNX graphs, a table of numbers,
+    and one Python file that needs NumPy and ONNX Runtime alone. A minute or two; needs omad[deploy]."""
+
+    category: CategoryName
+    output: Path
+    """Folder for the program."""
+    weights: Weights = None
+    fast: Fast = False
+    json: Json = False
+
+    def run(self) -> Answer:
+        config = omad.EstimatorConfig.fast() if self.fast else omad.EstimatorConfig()
+        net = load(OmadNet, find_weights(self.weights or self.category))
+        check_category("--weights", self.weights, net.category, self.category)
+        files = deploy(net, self.output, config)
+        size = sum((self.output / name).stat().st_size for name in files)
+        return Answer({"folder": str(self.output), "files": files, "bytes": size})
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -65,6 +65,14 @@ def is_file(path: Any) -> bool:
         return False
 
 
+def is_path(path: Any) -> bool:
+    """Whether there is a file or a folder; never an error, however odd the path is."""
+    try:
+        return os.path.exists(path)
+    except (OSError, ValueError, TypeError):
+        return False
+
+
 def as_path(path: Any, what: str) -> Path:
     """A path of whatever a caller gave. Raises InputError for what is none; ``what``: as "a depth image"."""
     if not isinstance(path, str | os.PathLike) or "\0" in os.fspath(path):
@@ -145,7 +153,7 @@ def read_arrays(path: Path, kind: str, cure: str = "export it again") -> np.ndar
     with readable(path, kind, cure):
         check_file(path)
         if zipfile.is_zipfile(path):
-            return _unpacked(path)
+            return _unpacked(path, path.stat().st_size, path)
         with path.open("rb") as file:
             return _one_array(file, path.stat().st_size)
 
@@ -172,21 +180,22 @@ def array_shapes(path: Path) -> dict[str, tuple[int, ...]]:
         return found
 
 
-def parse_array(stored: bytes, name: str, cure: str = "export it again") -> np.ndarray:
-    """The array of an NPY file's bytes. Raises InputError."""
-    with readable(name, "NPY", cure):
-        return _one_array(io.BytesIO(stored), len(stored))
+def parse_arrays(stored: bytes, name: str, cure: str = "export it again") -> np.ndarray | dict[str, np.ndarray]:
+    """What ``read_arrays`` reads, of a file's bytes. Raises InputError."""
+    with readable(name, "an array", cure):
+        file, is_zip = io.BytesIO(stored), zipfile.is_zipfile(io.BytesIO(stored))
+        return _unpacked(file, len(stored), name) if is_zip else _one_array(file, len(stored))
 
 
-def _unpacked(path: Path) -> dict[str, np.ndarray]:
-    check_limit("data_bytes", path.stat().st_size, f"{path}: the file")
-    with zipfile.ZipFile(path) as archive:
+def _unpacked(file: Any, size: int, name: str | Path) -> dict[str, np.ndarray]:
+    check_limit("data_bytes", size, f"{name}: the file")
+    with zipfile.ZipFile(file) as archive:
         members = archive.infolist()
-        check_limit("data_bytes", sum(member.file_size for member in members), f"{path}: what it unpacks to")
+        check_limit("data_bytes", sum(member.file_size for member in members), f"{name}: what it unpacks to")
         found = {}
         for member in members:
-            with archive.open(member) as file:
-                found[member.filename.removesuffix(".npy")] = _one_array(file, member.file_size)
+            with archive.open(member) as inside:
+                found[member.filename.removesuffix(".npy")] = _one_array(inside, member.file_size)
         return found
 
 

@@ -47,8 +47,10 @@ class Limits:
     """Points that a network looks at, and width of each of its layers."""
     catalogue: int = 20_000_000
     """Entries of an index."""
+    objects: int = 100_000
+    """Objects that are generated, or trained on, at once."""
     views: int = 10_000_000
-    """Views of a rendered folder."""
+    """Views of a rendered folder, or of a measurement."""
 
     @classmethod
     def of_text(cls, text: str) -> Self:

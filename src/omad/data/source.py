@@ -135,6 +135,11 @@ def kind_of(source: str) -> SourceKind:
     return next(kind for kind in KINDS.values() if kind.is_one(source))
 
 
+def is_generated(source: str) -> bool:
+    """Whether it makes as many objects as one likes."""
+    return source == "procedural" or source.endswith(SUFFIX)
+
+
 def load_models(source: str, category: Category, objects: int, split: Split, seed: int) -> ModelSource:
     """Procedural objects, or those of a folder that fit; raises InputError where none does."""
     kind = kind_of(source)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -19,7 +20,7 @@ from omad.geometry.joint_kinds import Motion
 from omad.geometry.mesh import Mesh, convex_hull
 from omad.geometry.transforms import MIRROR_X
 from omad.model.posed_object import PosedObject
-from omad.model.surfaces.surfaces import PosedSurface, Surfaces
+from omad.model.surfaces.surfaces import FittedSurface, PosedSurface, Surfaces
 from omad.objects.category import Category
 from omad.objects.model import ObjectModel
 from omad.objects.pose import ObjectPose
@@ -176,6 +177,37 @@ class Estimate(PoseEstimate):
             return self.in_mirror().surface.mirrored(self.category.turning)
         return self.surfaces.fitted(self, self.covariance, self.labelled.points, self.part_labels)
 
+    def to_surface(self) -> Self:
+        """The answer with its pose, shape and joint states so far towards those of the fit to its surface as was best
+        on views that the network had not seen; axes and keypoints follow, and deviations shrink as errors did there.
+        Takes as long as ``surface``. Of several views of one object each goes its own way. Raises InputError where
+        these weights have no surfaces, or how far was not measured."""
+        if self.of_other_hand:
+            return self.in_mirror().to_surface().in_mirror()
+        shares = None if self.surfaces is None else self.surfaces.bank.shares
+        if self.surfaces is None or shares is None:
+            cure = f"run omad train surface --category {self.category.name}"
+            raise InputError(f"to_surface: whether it helps was not measured for these weights; {cure}")
+        if not shares.taken.any() or not self.is_finite:
+            return self
+        began, fitted = time.perf_counter(), self.surface
+        assert isinstance(fitted, FittedSurface)
+        size, joints = len(self.covariance), len(self.joints)
+        posed = self.surfaces.towards(self, fitted, shares.of_unknowns(shares.taken, size))
+        shrinkage = shares.of_unknowns(shares.shrinkage, size)
+        [found] = PoseEstimate.of(
+            self.category,
+            [posed],
+            np.array([[joint.state_std for joint in self.joints]]) * shrinkage[6 : 6 + joints],
+            np.array([[joint.tail for joint in self.joints]]),
+        )
+        return replace(
+            self,
+            **vars(found),
+            covariance=shrinkage[:, None] * self.covariance * shrinkage,
+            seconds=self.seconds | {"surface": time.perf_counter() - began},
+        )
+
     @property
     def hulls(self) -> tuple[Mesh, ...]:
         """Of each part the convex hull of its keypoints, canonical space at rest."""
@@ -248,8 +280,12 @@ class Estimate(PoseEstimate):
     def carried_model(self) -> ObjectModel:
         """The estimated object at rest; its surfaces are those of the known object with the nearest keypoints, carried
         along but not fitted to what was seen: that takes a tenth of the time."""
-        known = self.surfaces
-        return self._model(self.hulls if known is None else known.of_keypoints(self.canonical_keypoints), None)
+        if self.surfaces is None:
+            return self.hull_model()
+        if self.of_other_hand:
+            parts = self.surfaces.of_keypoints(self.canonical_keypoints * MIRROR_X)
+            return self._model(tuple(part.mirrored() for part in parts), None)
+        return self._model(self.surfaces.of_keypoints(self.canonical_keypoints), None)
 
     def hull_model(self) -> ObjectModel:
         """The estimated object at rest; a part's mesh is the hull of its keypoints."""

@@ -209,7 +209,7 @@ class Estimator:
         seen = [observation.mirrored() for observation in observations]
         elsewhere = None if near is None else near.mirrored(), None if rig is None else rig.mirrored()
         images = self._of_one_hand(seen, known.mirrored(), *elsewhere)
-        return surer_hands(plain, [image.in_mirror() for image in images], together=rig is not None)
+        return surer_hands(observations, plain, seen, images, together=rig is not None)
 
     @torch.no_grad()
     def _of_one_hand(

@@ -67,7 +67,7 @@ def measure_evidence(observation: Observation, estimate: Estimate, prior: OmadPr
 
 def explanation(observation: Observation, estimate: Estimate) -> Agreement:
     """What of the observation the estimate's surface explains, as keypoints alone tell it."""
-    if not np.isfinite(estimate.keypoints).all():
+    if not (np.isfinite(estimate.keypoints).all() and (observation.points[:, 2] > 0).any()):
         return Agreement(0.0, 0.0, 0.0, 1.0)
     placed = estimate.carried_model().posed(estimate.joint_states, estimate.T_camera_base)
     return Overlay.of(placed, observation).agreement

@@ -1,6 +1,6 @@
 """How well an estimator does on views with known truth: the numbers of ``omad eval pose``."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,23 @@ from omad.output.picture import figure, save
 
 from .metrics import PoseErrors, bootstrap_interval, missing_errors, pose_errors, summarise
 
+BATCH = 64
+"""Views that are estimated together."""
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What summaries ask of one view."""
+
+    object: str
+    """Its name."""
+    diagonal: float
+    """Of its rest box in metres."""
+    initial: PoseErrors
+    refined: PoseErrors
+    seconds: dict[str, float] | None
+    """Of its estimate, where there is one."""
+
 
 @dataclass(frozen=True)
 class ViewResult:
@@ -29,6 +46,12 @@ class ViewResult:
     initial: PoseErrors
     refined: PoseErrors
 
+    @property
+    def measured(self) -> Measured:
+        """Without images and answers."""
+        seconds = self.estimate.seconds if self.estimate else None
+        return Measured(self.view.object, self.view.truth.diagonal, self.initial, self.refined, seconds)
+
 
 def true_pose(view: View, category: Category) -> ObjectPose:
     """Where the object of a view really is, in camera space."""
@@ -38,15 +61,20 @@ def true_pose(view: View, category: Category) -> ObjectPose:
 
 
 def evaluate(
-    estimator: Estimator, views: Iterable[View], total: int | None = None, batch: int = 64
+    estimator: Estimator, views: Iterable[View], total: int | None = None, batch: int = BATCH, to_surface: bool = False
 ) -> list[ViewResult]:
-    """Estimate every view and measure the initial and the refined answer."""
-    return [result for some in batched(progress(views, total), batch) for result in _measure(estimator, some)]
+    """Estimate every view and measure the initial and the refined answer, which may go on towards its surface."""
+    shown = batched(progress(views, total), batch)
+    return [result for some in shown for result in measure(estimator, some, to_surface)]
 
 
-def _measure(estimator: Estimator, views: list[View]) -> list[ViewResult]:
+def measure(estimator: Estimator, views: list[View], to_surface: bool = False) -> list[ViewResult]:
+    """Of one batch."""
     category, observed = estimator.category, observe_all(views)
-    estimates = dict(zip(observed, estimator(list(observed.values())), strict=True))
+    found = estimator(list(observed.values()))
+    if to_surface:
+        found = [estimate.to_surface() for estimate in found]
+    estimates = dict(zip(observed, found, strict=True))
     results = []
     for index, view in enumerate(views):
         initial = refined = missing_errors(category)
@@ -58,11 +86,11 @@ def _measure(estimator: Estimator, views: list[View]) -> list[ViewResult]:
     return results
 
 
-def summary(results: list[ViewResult], category: Category, source: str) -> dict[str, Any]:
+def summary(results: Sequence[Measured], category: Category, source: str) -> dict[str, Any]:
     """The promised JSON of ``omad eval pose`` as plain values (degrees where a key says so, else metres)."""
-    diagonals = np.array([r.view.truth.diagonal for r in results])
-    names = np.array([r.view.object for r in results])
-    times = [r.estimate.seconds for r in results if r.estimate]
+    diagonals = np.array([r.diagonal for r in results])
+    names = np.array([r.object for r in results])
+    times = [r.seconds for r in results if r.seconds]
     refined = [r.refined for r in results]
     by_object = []
     for name in sorted(set(names)):
@@ -85,10 +113,14 @@ def summary(results: list[ViewResult], category: Category, source: str) -> dict[
             "axis_error_deg": [bootstrap_interval(column, names) for column in axis.T],
         },
         "by_object": by_object,
-        "seconds": {
-            key: float(np.median([t[key] for t in times])) if times else None for key in ("network", "refinement")
-        },
+        "seconds": {"network": None, "refinement": None} | _medians(times),
     }
+
+
+def _medians(times: list[dict[str, float]]) -> dict[str, float]:
+    """Of each step that was taken."""
+    steps = dict.fromkeys(key for spent in times for key in spent)
+    return {key: float(np.median([spent[key] for spent in times if key in spent])) for key in steps}
 
 
 def draw_worst(results: list[ViewResult], category: Category, folder: Path, count: int = 6) -> list[str]:

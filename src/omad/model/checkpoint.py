@@ -19,7 +19,8 @@ from omad.common.limits import check_limit
 from omad.objects.builtin import builtin_names
 from omad.objects.category import Category
 
-from .fetched import address_of, fetch
+from .storage.fetched import address_of, fetch
+from .storage.packing import unpacked
 
 FORMAT = 1
 CHECKSUM = "sha256"
@@ -80,7 +81,7 @@ def load(network: type[N], folder: Path) -> N:
             checksum = (file.metadata() or {}).get(CHECKSUM)
         if checksum not in (None, digest_of(tensors)):
             raise InputError(f"{path}: is damaged (its numbers do not give its checksum); copy or train it anew")
-        net.load_state_dict(tensors)
+        net.load_state_dict(unpacked(tensors))
     if not all((tensor.abs() <= LARGEST).all() for tensor in net.state_dict().values()):  # not for NaN either
         raise InputError(f"{path}: holds numbers that are not finite, or far too large; copy or train it anew")
     return net.eval().requires_grad_(False)

@@ -49,8 +49,18 @@ def read_camera(source: str | Path) -> CameraFile:
     if not is_file(source):
         raise InputError(f"intrinsics {shown(repr(text))}: neither fx,fy,cx,cy nor an existing file")
     path = Path(source)
-    data = _read(path, "K")
-    return CameraFile(_as_K(data, str(path))) if isinstance(data, np.ndarray) else camera_of(data, path)
+    return _told(_read(path, "K"), path)
+
+
+def parse_camera(text: str, name: str) -> CameraFile:
+    """What ``read_camera`` reads, of a text: ``fx,fy,cx,cy``, or what a file of its would hold; never the file of that
+    name. ``name``: of it in messages. Raises InputError."""
+    check_limit("camera_bytes", len(text), f"{name}: the text")
+    return _told(_parsed(text, name), name)
+
+
+def _told(data: Any, name: str | Path) -> CameraFile:
+    return CameraFile(_as_K(data, str(name))) if isinstance(data, np.ndarray) else camera_of(data, name)
 
 
 def camera_of(data: Any, name: str | Path) -> CameraFile:
@@ -138,18 +148,21 @@ def _read(path: Path, key: str) -> Any:
     if path.suffix.lower() in (".npy", ".npz"):
         return read_array(path, key)
     check_limit("camera_bytes", path.stat().st_size, f"{path}: the file")
-    content = read_text(path)
+    return _parsed(read_text(path), path)
+
+
+def _parsed(content: str, name: str | Path) -> Any:
     if (numbers := _numbers(content)) is not None:
         return numbers
     if content.lstrip().startswith("{"):  # YAML reads JSON too, but not the tabs that JSON allows
-        return parse_json(content, path)
+        return parse_json(content, name)
     try:
         # `rostopic echo` ends each message with a ---
         return next(yaml.load_all(content, _PlainYaml), None)
     except Exception as error:  # its readers of dates and numbers raise anything; what they read is not quoted
         mark = getattr(error, "problem_mark", None)
         where = "" if mark is None else f" (line {mark.line + 1})"
-        raise InputError(f"{path}: neither JSON, YAML nor numbers{where}; export it again") from error
+        raise InputError(f"{name}: neither JSON, YAML nor numbers{where}; export it again") from error
 
 
 class _PlainYaml(yaml.SafeLoader):

@@ -2,11 +2,22 @@
 
 import io
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from omad.common.errors import InputError
-from omad.common.incoming import array_shapes, existing, read_arrays, read_bytes, read_image, read_json, readable
+from omad.common.incoming import (
+    array_shapes,
+    existing,
+    parse_arrays,
+    parse_json,
+    read_arrays,
+    read_bytes,
+    read_image,
+    read_json,
+    readable,
+)
 from omad.common.limits import check_limit
 
 from .masks import as_mask
@@ -17,6 +28,8 @@ COLOR_FORMATS = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", *ARR
 MASK_FORMATS = (*COLOR_FORMATS, ".json")
 LOSSY = (".jpg", ".jpeg")
 CLOUD_FORMATS = (".ply", ".pcd", ".xyz", ".txt", *ARRAY_FORMATS)
+ARRAY_MAGIC, JPEG_MAGIC = (b"\x93NUMPY", b"PK"), b"\xff\xd8"
+"""What arrays and JPEGs begin with."""
 MILLIMETRES = 1e-3
 """Metres per stored integer of a depth image that does not say otherwise."""
 
@@ -27,14 +40,31 @@ def read_depth(path: str | Path, depth_scale: float | None = None) -> np.ndarray
     one array or one named ``depth``): metres, times ``depth_scale`` if given. Raises InputError for a missing,
     unreadable or 8-bit file and for a wrong shape."""
     path = _existing(path, DEPTH_FORMATS, "depth image")
+    stored = read_array(path, "depth") if path.suffix.lower() in ARRAY_FORMATS else read_image(path, path)
+    return _checked_depth(stored, path, depth_scale)
+
+
+def parse_depth(stored: bytes, name: str, depth_scale: float | None = None) -> np.ndarray:
+    """What ``read_depth`` reads, of a file's bytes; ``name``: of it in messages. Raises InputError."""
+    return _checked_depth(parse_stored(stored, "depth", name), name, depth_scale)
+
+
+def _checked_depth(stored: np.ndarray, name: str | Path, depth_scale: float | None) -> np.ndarray:
     if depth_scale is not None and not (np.isfinite(depth_scale) and depth_scale > 0):
         raise InputError(f"depth scale {depth_scale}: give metres per stored integer, 0.001 for millimetres")
-    stored = read_array(path, "depth") if path.suffix.lower() in ARRAY_FORMATS else read_image(path, path)
     try:
         check_limit("image_pixels", stored.size, "the image")
         return in_metres(stored, depth_scale)
     except InputError as error:
-        raise InputError(f"{path}: {error}") from error
+        raise InputError(f"{name}: {error}") from error
+
+
+def parse_stored(stored: bytes, key: str, name: str, mode: str | None = None) -> np.ndarray:
+    """The numbers of a file's bytes: of an image (in ``mode``, where given), an NPY, or an NPZ the array called ``key``
+    or the only one. Raises InputError."""
+    if not stored.startswith(ARRAY_MAGIC):
+        return read_image(stored, name, mode)
+    return _called(parse_arrays(stored, name), key, name)
 
 
 def in_metres(stored: np.ndarray, depth_scale: float | None = None) -> np.ndarray:
@@ -57,28 +87,45 @@ def read_mask(path: str | Path, mask_id: int | None = None) -> np.ndarray:
     with a palette, ``mask_id`` is the number of a colour. Raises InputError."""
     path = _existing(path, MASK_FORMATS, "mask")
     if path.suffix.lower() == ".json":
-        stored = read_json(path, "export it again")
-        if not isinstance(stored, dict):
-            raise InputError(f"{path}: holds no mask; give one COCO segmentation, with size and counts")
-    elif path.suffix.lower() in ARRAY_FORMATS:
-        stored = read_array(path, "mask")
-    else:
-        stored = read_image(path, path, "RGBA" if mask_id is None else None)
-        if path.suffix.lower() in LOSSY:
-            stored = _without_loss(stored, path, mask_id)
+        return _checked_mask(read_json(path, "export it again"), path, mask_id)
+    if path.suffix.lower() in ARRAY_FORMATS:
+        return _checked_mask(read_array(path, "mask"), path, mask_id)
+    stored = read_image(path, path, _mask_mode(mask_id))
+    if path.suffix.lower() in LOSSY:
+        stored = _without_loss(stored, path, mask_id)
+    return _checked_mask(stored, path, mask_id)
+
+
+def parse_mask(stored: bytes, name: str, mask_id: int | None = None) -> np.ndarray:
+    """What ``read_mask`` reads, of a file's bytes; ``name``: of it in messages. Raises InputError."""
+    if stored.lstrip()[:1] == b"{":
+        return _checked_mask(parse_json(stored, name), name, mask_id)
+    found = parse_stored(stored, "mask", name, _mask_mode(mask_id))
+    if stored.startswith(JPEG_MAGIC):
+        found = _without_loss(found, name, mask_id)
+    return _checked_mask(found, name, mask_id)
+
+
+def _mask_mode(mask_id: int | None) -> str | None:
+    return "RGBA" if mask_id is None else None
+
+
+def _checked_mask(stored: Any, name: str | Path, mask_id: int | None) -> np.ndarray:
+    if not isinstance(stored, np.ndarray | dict):
+        raise InputError(f"{name}: holds no mask; give one COCO segmentation, with size and counts")
     try:
-        with readable(path, "a mask"):
+        with readable(name, "a mask"):
             if isinstance(stored, np.ndarray):
                 check_limit("image_pixels", stored.size, "the mask")
             return as_mask(stored, mask_id)
     except InputError as error:
-        raise InputError(str(error) if str(path) in str(error) else f"{path}: {error}") from error
+        raise InputError(str(error) if str(name) in str(error) else f"{name}: {error}") from error
 
 
-def _without_loss(stored: np.ndarray, path: Path, mask_id: int | None) -> np.ndarray:
+def _without_loss(stored: np.ndarray, name: str | Path, mask_id: int | None) -> np.ndarray:
     """Of a mask in a JPEG: black and white are no longer quite that along its edge. Raises InputError for ids."""
     if mask_id is not None:
-        raise InputError(f"{path}: a JPEG does not keep ids; store label images as PNG, or leave --mask-id out")
+        raise InputError(f"{name}: a JPEG does not keep ids; store label images as PNG, or leave --mask-id out")
     grey = stored if stored.ndim == 2 else stored[..., :3].max(-1)
     return grey >= max(int(grey.max(initial=0)) // 2, 1)
 
@@ -130,11 +177,14 @@ def _existing(path: str | Path, formats: tuple[str, ...], kind: str) -> Path:
 
 def read_array(path: Path, key: str) -> np.ndarray:
     """The array of an NPY, or of an NPZ the one called ``key`` or the only one."""
-    found = read_arrays(path, path.suffix[1:].upper())
+    return _called(read_arrays(path, path.suffix[1:].upper()), key, path)
+
+
+def _called(found: np.ndarray | dict[str, np.ndarray], key: str, name: str | Path) -> np.ndarray:
     if isinstance(found, np.ndarray):
         return found
     if key not in found and len(found) != 1:
-        raise InputError(f"{path}: holds {', '.join(found) or 'nothing'}; name the array {key!r}")
+        raise InputError(f"{name}: holds {', '.join(found) or 'nothing'}; name the array {key!r}")
     return found.get(key, next(iter(found.values())))
 
 

@@ -7,7 +7,7 @@ import math
 import sys
 import time
 from collections.abc import Callable, Sequence
-from contextlib import closing, suppress
+from contextlib import closing, nullcontext, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -27,6 +27,8 @@ from omad.model.checkpoint import Network
 from omad.objects.category import Category
 from omad.objects.model import SampledObject
 
+from .processes import ALONE, Processes
+
 ANOTHER = "choose another --output, or give the same options and files as before"
 
 
@@ -37,7 +39,7 @@ class Schedule:
     steps: int
     """Steps in all."""
     batch: int
-    """Samples a step."""
+    """Samples a step, of all processes together."""
     learning_rate: float = 2e-3
     """Peak; warmed up over the first 2 %, then a cosine down to zero."""
     weight_decay: float = 1e-4
@@ -83,13 +85,14 @@ def train_network(
     bank: SurfaceBank,
     made_of: Sequence[nn.Module | None] = (),
     check: Callable[[N], dict[str, float]] | None = None,
+    processes: Processes = ALONE,
 ) -> N:
     """``train``, where what is trained is the network with all that it depends on: the ``settings``, the ``models`` and
     their surfaces in ``bank``, and the networks that it is ``made_of`` or begins with."""
     config = {"kind": net.kind, "category": asdict(net.category), "settings": asdict(settings)}
     config |= {"objects": [model.name for model in models], "surfaces": digest_of(vars(bank))}
     config["networks"] = [None if one is None else digest_of(one.state_dict()) for one in made_of]
-    return train(net, loss_terms, settings.schedule, folder, config, check)
+    return train(net, loss_terms, settings.schedule, folder, config, check, processes)
 
 
 def train(
@@ -99,19 +102,24 @@ def train(
     folder: Path,
     config: dict[str, Any],
     check: Callable[[M], dict[str, float]] | None = None,
+    processes: Processes = ALONE,
 ) -> M:
     """Train ``model`` in place and return its averaged twin.
 
-    ``loss_terms`` draws a batch with the generator and returns the weighted terms of the loss; their sum is minimised.
-    ``check`` says now and then how the averaged twin does on what is held back.
+    ``loss_terms`` draws a batch with the generator, or of several ``processes`` the ``share`` of one, and returns the
+    weighted terms of the loss; their sum is minimised. ``check`` says now and then how the averaged twin does on what
+    is held back.
 
     ``folder`` receives ``state.pt`` (everything needed to go on, replaced atomically), ``metrics.jsonl`` and
     TensorBoard events. ``config`` says what is trained; a state of another config is refused (InputError), and so is a
     folder in which another process trains. Ctrl-C and SIGTERM end it after the step at hand, once the state is saved.
+    Another number of processes may go on with it. WorkError where one of them ends.
     """
+    if not processes.first:
+        return _train(model, loss_terms, schedule, folder, config, check, processes)
     make_folder(folder)
     with only_one(folder, "a training"):
-        return _train(model, loss_terms, schedule, folder, config, check)
+        return _train(model, loss_terms, schedule, folder, config, check, processes)
 
 
 def _train(
@@ -121,67 +129,89 @@ def _train(
     folder: Path,
     config: dict[str, Any],
     check: Callable[[M], dict[str, float]] | None,
+    processes: Processes,
 ) -> M:
     device = next(model.parameters()).device
-    generator = Generator(device=device).manual_seed(schedule.seed)
+    generator = processes.generator(schedule.seed, device)
+    processes.begin_alike(model)
     trained = [p for p in model.parameters() if p.requires_grad]
     optimizer = torch.optim.AdamW(trained, lr=schedule.learning_rate, weight_decay=schedule.weight_decay)
     averaged = copy.deepcopy(model).requires_grad_(False)
+    processes.shorten(model)
     learned = {"model": model, "averaged": averaged, "optimizer": optimizer}
     step, seconds = 0, 0.0
 
     state_path = folder / "state.pt"
     identity = _identity(config, schedule)
-    if state_path.exists():
-        state = _read_state(state_path, identity)
+    state = processes.from_first(lambda: _read_state(state_path, identity) if state_path.exists() else None)
+    if state is not None:
         with readable(state_path, "a training state", ANOTHER):
             for name, part in learned.items():
                 part.load_state_dict(state[name])
-            generator.set_state(state["generator"].cpu())
             step, seconds = int(state["step"]), float(state["seconds"])
+            generators = [state["generator"], *state.get("generators", [])]
+            if processes.rank < len(generators):
+                generator.set_state(generators[processes.rank].cpu().clone())  # a part of another tensor would crash it
+            else:
+                generator = processes.generator(schedule.seed, device, step)
 
     def save() -> None:
+        first, *others = processes.all_of(generator.get_state())
+        if not processes.first:
+            return
         state = {name: part.state_dict() for name, part in learned.items()}
-        state |= {"identity": identity, "generator": generator.get_state(), "step": step, "seconds": seconds}
+        state |= {"identity": identity, "generator": first, "generators": others, "step": step, "seconds": seconds}
         kept = io.BytesIO()  # a full disk is an OSError when bytes are written, and anything when torch writes
         torch.save(state, kept)
         write_atomic(state_path, lambda path: path.write_bytes(kept.getbuffer()))
 
-    log = MetricLog(folder, step)
+    log = MetricLog(folder, step) if processes.first else None
     checked = int(CHECKS * _progress(step, seconds, schedule))
     saved = time.monotonic()
-    began = saved - seconds
-    bar = tqdm(total=schedule.steps, initial=step, unit="step", file=sys.stderr, disable=not sys.stderr.isatty())
-    with closing(log), closing(bar), deferred() as stop:
-        while (progress := _progress(step, seconds, schedule)) < 1 and not stop:
+    began, asked = saved - seconds, 0.0
+    quiet = not (processes.first and sys.stderr.isatty())
+    bar = tqdm(total=schedule.steps, initial=step, unit="step", file=sys.stderr, disable=quiet)
+    with closing(log) if log else nullcontext(), closing(bar), deferred() as stop:
+        while (progress := _progress(step, seconds, schedule)) < 1 and not asked:
             for group in optimizer.param_groups:
                 group["lr"] = schedule.learning_rate * _rate(progress)
-            terms = loss_terms(model, generator)
-            loss = torch.stack(list(terms.values())).sum()
             optimizer.zero_grad(set_to_none=True)
-            loss.backward()
+            parts = []
+            for _ in range(processes.parts):
+                terms = loss_terms(model, generator)
+                values = torch.stack(list(terms.values()))
+                (values.sum() / processes.parts).backward()
+                parts.append(values.detach())
+            processes.average([p.grad for p in trained if p.grad is not None])
             nn.utils.clip_grad_norm_(trained, 10.0)
             optimizer.step()
             step += 1
             _average(averaged, model, min(schedule.average, (1 + step) / (10 + step)))
             now = time.monotonic()
-            seconds = now - began
+            # the first one's clock, and anyone's signal, are for all: they save and end after the same step
+            own = (now - began, now - saved > schedule.save_seconds) if processes.first else (0.0, False)
+            seconds, due, asked = processes.agree(*own, stop.number)
             bar.update()
             if step % schedule.log_steps == 0:
-                values = {name: term.item() for name, term in terms.items()}
+                means = processes.mean(torch.stack(parts).mean(0)).tolist()
+                values = dict(zip(terms, means, strict=True))
                 if not math.isfinite(sum(values.values())):
                     raise WorkError(f"the loss is not finite at step {step} ({values}); lower the learning rate")
                 progress = _progress(step, seconds, schedule)
                 held_back = {}
-                if check is not None and int(CHECKS * progress) > checked:
+                if log and check is not None and int(CHECKS * progress) > checked:
                     checked, held_back = int(CHECKS * progress), check(averaged)
                 left = seconds * max(1 / progress - 1, 0)
                 bar.set_postfix_str(" ".join([f"{left / 60:.0f} min left", *_plain(held_back)]))
-                log.write(step, seconds, left, schedule.batch, values, held_back, show=bar.disable)
-            if now - saved > schedule.save_seconds:
+                if log:
+                    log.write(step, seconds, left, schedule.batch, values, held_back, show=bar.disable)
+            if due:
                 save()
                 saved = now
         save()
+        processes.take_leave()
+        if asked:
+            stop.number = int(asked)
     return averaged
 
 

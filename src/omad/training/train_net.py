@@ -25,6 +25,7 @@ from omad.objects.model import SampledObject
 from .held_back import HeldBack, split
 from .loop import Schedule, Training, seeded_bank, train_network
 from .losses import confidence_loss, joint_loss, quaternion_loss, segmentation_loss, state_loss
+from .processes import ALONE, Processes
 from .refined_error import axis_distance, refined_error, refinement_loss
 
 SAME_KEYPOINTS = 0.1
@@ -153,6 +154,7 @@ def train_net(
     device: torch.device | str = "cpu",
     initial: OmadNet | None = None,
     features: OmadNet | None = None,
+    processes: Processes = ALONE,
 ) -> OmadNet:
     """Train OMADNet on views of ``models``, from ``initial`` weights where given, or with what ``features`` knows of
     clouds, whose prior and category may be others; returns the averaged network. A few of the objects are held back, if
@@ -161,7 +163,7 @@ def train_net(
     seen, held = split(models)
     bank = seeded_bank(seen, category, settings.schedule.seed, device)
     held_back = HeldBack.of(held, category, settings.views, device) if held else None
-    made_of = [priornet, initial, features]
+    made_of, share = [priornet, initial, features], processes.share(settings.schedule.batch)
     priornet = priornet.to(device).requires_grad_(False)
     nodes = object_keypoints(priornet, bank)
     tells_outside = settings.views.clutter is not None or (initial is not None and initial.tells_outside)
@@ -177,13 +179,13 @@ def train_net(
 
     def loss_terms(module: OmadNet, draw: torch.Generator) -> dict[str, Tensor]:
         with torch.no_grad():
-            views = draw_views(bank, category, settings.schedule.batch, settings.views, draw)
+            views = draw_views(bank, category, share, settings.views, draw)
             truth = view_truth(module, views, nodes)
             frames = disturbed_frames(views, settings.second_looks, settings.turned, draw)
         return net_losses(module, views, truth, frames, shape_prior, settings.weights)
 
     check = None if held_back is None else held_back.errors
-    averaged = train_network(net, loss_terms, settings, models, folder, bank, made_of, check)
+    averaged = train_network(net, loss_terms, settings, models, folder, bank, made_of, check, processes)
     averaged.own_states = 0.0 if held_back is None else held_back.best_share(averaged.eval())
     return averaged
 

@@ -20,6 +20,7 @@ from omad.objects.model import SampledObject
 from .held_back import split
 from .loop import Schedule, Training, seeded_bank, train_network
 from .losses import coverage_loss, joint_loss, part_chamfer, separation_loss, surface_loss
+from .processes import ALONE, Processes
 
 
 @dataclass(frozen=True)
@@ -75,6 +76,7 @@ def train_prior(
     settings: PriorTraining,
     device: torch.device | str = "cpu",
     initial: PriorNet | None = None,
+    processes: Processes = ALONE,
 ) -> PriorNet:
     """Learn basis, joint function and statistics of beta from ``models``, from ``initial`` weights where given, whose
     keypoints then keep their meaning; returns the averaged network. A few objects are held back, if there are many, to
@@ -86,10 +88,10 @@ def train_prior(
     if initial is not None:
         net.load_state_dict(initial.state_dict())
 
-    samples = PartSamples.of(bank, len(category.parts))
+    samples, share = PartSamples.of(bank, len(category.parts)), processes.share(settings.schedule.batch)
 
     def loss_terms(module: PriorNet, draw: torch.Generator) -> dict[str, Tensor]:
-        indices = torch.randint(len(bank), (settings.schedule.batch,), device=bank.points.device, generator=draw)
+        indices = torch.randint(len(bank), (share,), device=bank.points.device, generator=draw)
         scale = uniform(*settings.scale, (len(indices), 3), bank.points, draw)
         clouds = samples.draw(indices, scale, settings.points // len(category.parts), draw)
         joints = bank.joints(indices, scale)
@@ -98,7 +100,7 @@ def train_prior(
     def check(module: PriorNet) -> dict[str, float]:
         return {} if held_back is None else prior_error(module, held_back)
 
-    averaged = train_network(net, loss_terms, settings, models, folder, bank, [initial], check)
+    averaged = train_network(net, loss_terms, settings, models, folder, bank, [initial], check, processes)
     finish_prior(averaged.prior, object_keypoints(averaged, bank), bank, settings.scale)
     return averaged
 

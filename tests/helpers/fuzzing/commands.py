@@ -218,6 +218,8 @@ def _of_checkpoints() -> list[Command]:
                 "train",
                 "surface",
                 *LAPTOP,
+                "--views",
+                "4",
                 "--weights",
                 "w",
                 "--prior",

@@ -4,6 +4,7 @@
   columns ``height`` and ``width`` the pixels row by row, as numbers or as little-endian bytes of uint16, float32 or
   float64; or a list of rows of numbers. Integers are millimetres, floats metres, if nothing else is said.
 - ``mask``, if there is one: in the same forms, or a byte a pixel; not zero where the object is.
+- ``depth_scale``, if it is not the usual one: metres per stored number.
 - ``intrinsics``, if they are not the same for all: fx, fy, cx, cy, or nine numbers row by row.
 - ``id``, if rows have names.
 """
@@ -18,16 +19,16 @@ import numpy as np
 
 from omad.common.errors import InputError
 from omad.common.files import one_line
-from omad.common.incoming import parse_array, read_image
 from omad.sensing.camera_files import CameraFile, read_camera
-from omad.sensing.depth_files import in_metres
+from omad.sensing.depth_files import in_metres, parse_stored
 from omad.sensing.observation import Observation
 from omad.sensing.reader import NEED_INTRINSICS, InputReader
 
+from ..store import Store
 from .stream import Frame
 
 SUFFIX = ".parquet"
-COLUMNS = ("id", "depth", "mask", "intrinsics", "height", "width")
+COLUMNS = ("id", "depth", "mask", "depth_scale", "intrinsics", "height", "width")
 ROWS = 16
 """Read together."""
 RAW = {1: "u1", 2: "<u2", 4: "<f4", 8: "<f8"}
@@ -47,20 +48,22 @@ def import_pyarrow() -> Any:
 class ParquetImages:
     """An open file."""
 
-    path: Path
+    path: Path | str
+    """Or its address."""
     file: Any
     """pyarrow.parquet.ParquetFile."""
     reader: InputReader
     columns: list[str]
 
     @classmethod
-    def open(cls, path: Path, reader: InputReader) -> Self:
-        """Raises InputError for a file that is no Parquet, or that has no depth or no intrinsics."""
-        if not path.is_file():
+    def open(cls, path: Path | str, reader: InputReader) -> Self:
+        """Of a path, or of an address that fsspec knows. Raises InputError for a file that is no Parquet, or that has
+        no depth or no intrinsics."""
+        if isinstance(path, Path) and not path.is_file():
             raise InputError(f"{path}: no such file; give a Parquet file of depth images")
         parquet = import_pyarrow().parquet
         try:
-            file = parquet.ParquetFile(path)
+            file = parquet.ParquetFile(path if isinstance(path, Path) else _opened(path))
         except Exception as error:
             raise InputError(f"{path}: not readable as Parquet ({one_line(error)}); export it again") from error
         found = file.schema_arrow.names
@@ -109,7 +112,15 @@ class ParquetImages:
             mask = np.any(mask, -1) if mask is not None and mask.ndim == 3 else mask
         told = values["intrinsics"].as_py() if "intrinsics" in values else None
         camera = None if told is None else _camera(told)
-        return self.reader.observe(in_metres(depth, self.reader.depth_scale), mask, camera)
+        scale = self.reader.depth_scale
+        if scale is None and "depth_scale" in values:
+            scale = values["depth_scale"].as_py()
+        return self.reader.observe(in_metres(depth, scale), mask, camera)
+
+
+def _opened(address: str) -> Any:
+    folder, _, name = address.rpartition("/")
+    return Store.of(folder).open(name)
 
 
 def _camera(told: Any) -> CameraFile:
@@ -132,7 +143,7 @@ def _image(value: Any, shape: tuple[int, int] | None, name: str) -> np.ndarray |
         else:
             stored = value.as_py()
             if shape is None:
-                return _decoded(stored)
+                return parse_stored(stored, name, "image")
             array = np.frombuffer(stored, RAW[len(stored) // (shape[0] * shape[1])])
         if shape is None:
             raise ValueError("columns height and width are needed for a flat list")
@@ -140,8 +151,3 @@ def _image(value: Any, shape: tuple[int, int] | None, name: str) -> np.ndarray |
     except Exception as error:  # readers of images raise anything
         cure = "give an image file's bytes, or height, width and all pixels"
         raise InputError(f"{name}: not readable as an image ({one_line(error)}); {cure}") from error
-
-
-def _decoded(stored: bytes) -> np.ndarray:
-    """An image file's bytes."""
-    return parse_array(stored, "array") if stored[:6] == b"\x93NUMPY" else read_image(stored, "image")

@@ -134,17 +134,22 @@ class Results:
             file.truncate(kept)
 
     def _write_parquet(self, path: Path) -> None:
-        pyarrow = import_pyarrow()
-        text, number, truth = pyarrow.string(), pyarrow.float64(), pyarrow.bool_()
-        numbers = pyarrow.list_(number)
-        joint = {"name": text, "type": text, "state": number, "state_std": number, "fraction": number}
-        joint |= {"limits": numbers, "axis": numbers, "pivot": numbers, "pitch": number}
-        joint |= {f"interval_{level}": numbers for level in INTERVALS}
-        columns = {"name": text, "refused": text, "category": text, "converged": truth, "probability": number}
-        columns |= {"residual": number, "beta": numbers, "T_camera_base": pyarrow.list_(numbers)}
-        columns |= {"T_camera_part": pyarrow.list_(pyarrow.list_(numbers))}
-        columns |= {"joints": pyarrow.list_(pyarrow.struct(joint)), "warnings": pyarrow.list_(text)}
-        schema = pyarrow.schema(columns)
+        pyarrow, schema = import_pyarrow(), row_schema()
         with self.part.open("rb") as file, pyarrow.parquet.ParquetWriter(path, schema) as writer:
             for lines in batched(file, ROWS):
                 writer.write_table(pyarrow.Table.from_pylist([json.loads(line) for line in lines], schema))
+
+
+def row_schema() -> Any:
+    """pyarrow.Schema of what ``row`` keeps."""
+    pyarrow = import_pyarrow()
+    text, number, truth = pyarrow.string(), pyarrow.float64(), pyarrow.bool_()
+    numbers = pyarrow.list_(number)
+    joint = {"name": text, "type": text, "state": number, "state_std": number, "fraction": number}
+    joint |= {"limits": numbers, "axis": numbers, "pivot": numbers, "pitch": number}
+    joint |= {f"interval_{level}": numbers for level in INTERVALS}
+    columns = {"name": text, "refused": text, "category": text, "converged": truth, "probability": number}
+    columns |= {"residual": number, "beta": numbers, "T_camera_base": pyarrow.list_(numbers)}
+    columns |= {"T_camera_part": pyarrow.list_(pyarrow.list_(numbers))}
+    columns |= {"joints": pyarrow.list_(pyarrow.struct(joint)), "warnings": pyarrow.list_(text)}
+    return pyarrow.schema(columns)

@@ -11,12 +11,14 @@ import numpy as np
 
 from omad.common.errors import InputError
 from omad.common.incoming import map_array, read_arrays
+from omad.model.storage.fetched import address_of
 from omad.sensing.beside import is_companion
 from omad.sensing.depth_files import in_metres
 from omad.sensing.input_options import FrameOptions, InputOptions
 from omad.sensing.observation import Observation
 from omad.sensing.reader import KNOWN, InputReader
 
+from ..store import Store
 from .parquet_images import SUFFIX, ParquetImages
 from .stream import Frame
 
@@ -39,6 +41,7 @@ def open_sources(
     - a stack: NPY (N, H, W), of which only the images at work are in memory, or NPZ with ``depth`` (N, H, W) and, if it
       has one, ``mask`` (N, H, W); with ``--mask`` an NPY of the same shape;
     - a Parquet file (``parquet_images.py`` says with which columns);
+    - the address of a Parquet file, or of a folder of them, that fsspec knows (``s3://...``);
     - one depth image or cloud.
 
     Names are those of files, with ``[index]`` for an image in a stack, or what a Parquet file's ``id`` says.
@@ -46,15 +49,22 @@ def open_sources(
     reading, frame = reading or InputOptions(), frame or FrameOptions()
     if not inputs:
         raise InputError("no input; give a folder of depth images, a stack (.npy, .npz) or a Parquet file")
-    if missing := [path for path in inputs if not path.exists()]:
+    addresses = {path: address for path in inputs if (address := address_of(path)) is not None}
+    if missing := [path for path in inputs if path not in addresses and not path.exists()]:
         raise InputError(f"{missing[0]}: no such file or folder; give depth images, a stack or a Parquet file")
     masks = None if reading.mask is None else _stack_in(reading.mask, "mask")
     alone = reading if masks is None else replace(reading, mask=None)
-    groups = [_listed(path) if path.is_dir() else _Group(path.parent, [path.name]) for path in inputs]
-    first = next((file for group in groups for file in group.files() if file.suffix.lower() != SUFFIX), None)
+    local = [path for path in inputs if path not in addresses]
+    groups = {path: _listed(path) if path.is_dir() else _Group(path.parent, [path.name]) for path in local}
+    listed = (file for group in groups.values() for file in group.files())
+    first = next((file for file in listed if file.suffix.lower() != SUFFIX), None)
     reader = InputReader.of(alone, [] if first is None else [first], frame)
     sources: list[Source] = []
-    for path, group in zip(inputs, groups, strict=True):
+    for path in inputs:
+        if path in addresses:
+            sources += [_parquet(file, reader) for file in _at(addresses[path])]
+            continue
+        group = groups[path]
         stack = None if path.is_dir() else _stack_in(path, "depth")
         if stack is not None:
             sources.append(_stack(path, stack, _stack_in(path, "mask", named=True) if masks is None else masks, reader))
@@ -86,6 +96,16 @@ def _listed(folder: Path) -> _Group:
     if not names:
         raise InputError(f"{folder}: no depth image, cloud or Parquet file in it; known: {' '.join(known)}")
     return _Group(folder, names)
+
+
+def _at(address: str) -> list[str]:
+    """Addresses of the Parquet files at one."""
+    if address.lower().endswith(SUFFIX):
+        return [address]
+    names = sorted(name for name in Store.of(address).names() if name.lower().endswith(SUFFIX))
+    if not names:
+        raise InputError(f"{address}: no Parquet file there; give a Parquet file of depth images, or a folder of them")
+    return [f"{address.rstrip('/')}/{name}" for name in names]
 
 
 def _single(group: _Group, reader: InputReader) -> Source:
@@ -129,7 +149,7 @@ def _stack(path: Path, depths: np.ndarray, masks: np.ndarray | None, reader: Inp
     return Source(len(depths), after)
 
 
-def _parquet(path: Path, reader: InputReader) -> Source:
+def _parquet(path: Path | str, reader: InputReader) -> Source:
     images = ParquetImages.open(path, reader)
     return Source(images.total, images.after)
 

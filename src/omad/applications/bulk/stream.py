@@ -99,22 +99,31 @@ def _itself(observation: Observation) -> Observation:
 
 def _outcomes(estimator: Estimator, frames: Sequence[Frame]) -> list[Outcome]:
     """Of one batch, in order."""
-    read = [_tried(frame.load) for frame in frames]
-    views = [view for view, _ in read if view is not None]
-    together, _ = _tried(lambda: estimator(views))
-    if together is not None:
-        answers = iter([(estimate, None) for estimate in together])
-    else:  # where one spoils the batch, each is tried alone
-        answers = iter([_tried(partial(estimator, view)) for view in views])
-    found = [(None, why) if view is None else next(answers) for view, why in read]
-    return [Outcome(frame.name, *answer) for frame, answer in zip(frames, found, strict=True)]
+    read = [attempt(frame.load) for frame in frames]
+    found = estimates_of(estimator, read)
+    rows = [(None, why(each)) if isinstance(each, Exception) else (each, None) for each in found]
+    return [Outcome(frame.name, *row) for frame, row in zip(frames, rows, strict=True)]
 
 
-def _tried(work: Callable[[], T]) -> tuple[T | None, str | None]:
-    """What it returns, or why it failed: nothing that one frame holds may end the stream."""
+def estimates_of(estimator: Estimator, read: Sequence[Observation | Exception]) -> list[Estimate | Exception]:
+    """Of each observation, worked on together, or why there is none; what could not be read stays as it is."""
+    views = [view for view in read if not isinstance(view, Exception)]
+    together = attempt(lambda: estimator(views))
+    if isinstance(together, Exception):  # where one spoils the batch, each is tried alone
+        answers = iter([attempt(partial(estimator, view)) for view in views])
+    else:
+        answers = iter(together)
+    return [view if isinstance(view, Exception) else next(answers) for view in read]
+
+
+def attempt(work: Callable[[], T]) -> T | Exception:
+    """What it returns, or how it failed: nothing that one frame holds may end the others' work."""
     try:
-        return work(), None
-    except InputError as error:
-        return None, one_line(error)
+        return work()
     except Exception as error:
-        return None, f"{type(error).__name__}: {one_line(error)}"
+        return error
+
+
+def why(error: Exception) -> str:
+    """What a frame is refused for, on one line."""
+    return one_line(error) if isinstance(error, InputError) else f"{type(error).__name__}: {one_line(error)}"

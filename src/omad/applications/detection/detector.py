@@ -125,6 +125,8 @@ class Detector:
             of_its_size = [i for i, ratio in enumerate(ratios) if 1 / ODD_SIZE < ratio < ODD_SIZE]
             found = estimator([steady[i] for i in of_its_size]) if of_its_size else []
             for i, estimate in zip(of_its_size, found, strict=True):
+                if not estimate.is_finite:  # no candidate at all
+                    continue
                 measured = measure_evidence(steady[i], estimate, estimator.net.prior)
                 evidence[i][category.name] = against(measured, estimate, ratios[i], planes)
                 estimates[i][category.name] = estimate

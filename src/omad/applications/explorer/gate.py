@@ -5,15 +5,11 @@ A browser opens a WebSocket for any page that asks for one, also for a stranger'
 made to point at this machine calls it by that name.
 """
 
-import contextlib
 import functools
 import http
-import ipaddress
-import socket
 import threading
 from collections.abc import Callable
 from typing import Any
-from urllib.parse import urlsplit
 
 import viser
 import websockets.asyncio.server as websockets
@@ -21,6 +17,8 @@ from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
 from omad.common.errors import WorkError
+
+from ..own_address import is_own_name
 
 _starting = threading.Lock()
 
@@ -58,21 +56,10 @@ def start_server(host: str, port: int, label: str) -> viser.ViserServer:
 def may_speak(headers: Headers, host: str) -> bool:
     """Whether a request comes from the explorer's own page, or opens it; ``host``: the address that is listened at."""
     hosts, origins = headers.get_all("Host"), headers.get_all("Origin")
-    if len(hosts) != 1 or not _is_ours(hosts[0], host):
+    if len(hosts) != 1 or not is_own_name(hosts[0], host):
         return False
     if "websocket" in headers.get("Upgrade", "").lower():
         return len(origins) == 1 and origins[0].lower() in (
             f"{scheme}://{hosts[0].lower()}" for scheme in ("http", "https")
         )
     return True
-
-
-def _is_ours(name: str, host: str) -> bool:
-    """An address in numbers cannot be a stranger's name for this machine."""
-    with contextlib.suppress(ValueError):
-        found = urlsplit(f"//{name}").hostname or ""
-        if found in {"localhost", host.lower(), socket.gethostname().lower()} - {""}:
-            return True
-        ipaddress.ip_address(found)
-        return True
-    return False

@@ -4,7 +4,7 @@ import hashlib
 import io
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, Self
@@ -120,13 +120,7 @@ class ShapeIndex:
 
     def search_objects(self, signature: Signature, count: int = 10, by_information: bool = False) -> list[Hit]:
         """As ``search``, but every object once, by its nearest entry."""
-        asked = count
-        while True:
-            hits = self.search(signature, asked, by_information)
-            objects = {hit.entry.name: hit for hit in reversed(hits)}  # the nearest entry is the last to be kept
-            if len(objects) >= count or asked >= len(self):
-                return sorted(objects.values(), key=lambda hit: hit.distance)[:count]
-            asked = min(4 * asked, len(self))
+        return nearest_objects(lambda asked: self.search(signature, asked, by_information), count, len(self))
 
     def nearest(self, betas: np.ndarray, count: int) -> Neighbours:
         """Rows and distances of the nearest entries of many queries (Q, D) of this prior, as many as there are."""
@@ -203,6 +197,18 @@ class ShapeIndex:
         if "graph" in arrays and head.sha256 is not None:
             index._search = GraphSearch.from_bytes(arrays["graph"])
         return index
+
+
+def nearest_objects(search: Callable[[int], list[Hit]], count: int, entries: int) -> list[Hit]:
+    """The ``count`` nearest objects, each by its nearest entry, of a catalogue of so many ``entries``; ``search`` gives
+    as many of the nearest of them as it is asked for."""
+    asked = count
+    while True:
+        hits = search(asked)
+        objects = {hit.entry.name: hit for hit in reversed(hits)}  # the nearest entry is the last to be kept
+        if len(objects) >= count or asked >= entries or len(hits) < asked:
+            return sorted(objects.values(), key=lambda hit: hit.distance)[:count]
+        asked = min(4 * asked, entries)
 
 
 @dataclass(frozen=True)

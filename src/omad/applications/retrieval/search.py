@@ -78,7 +78,7 @@ class GraphSearch:
     @classmethod
     def of(cls, vectors: np.ndarray) -> Self:
         """Build the graph: some tens of seconds for a million vectors."""
-        graph = _faiss().IndexHNSWFlat(vectors.shape[1], LINKS)
+        graph = faiss().IndexHNSWFlat(vectors.shape[1], LINKS)
         graph.hnsw.efConstruction = BUILD_EFFORT
         graph.add(np.ascontiguousarray(vectors, dtype=np.float32))
         return cls(graph)
@@ -86,11 +86,11 @@ class GraphSearch:
     @classmethod
     def from_bytes(cls, stored: np.ndarray) -> Self:
         """What ``to_bytes`` gave, (n,) uint8."""
-        return cls(_faiss().deserialize_index(stored))
+        return cls(faiss().deserialize_index(stored))
 
     def to_bytes(self) -> np.ndarray:
         """The graph with its vectors, (n,) uint8."""
-        return _faiss().serialize_index(self.graph)
+        return faiss().serialize_index(self.graph)
 
     def nearest(self, queries: np.ndarray, count: int) -> Neighbours:
         """As ``ExactSearch.nearest``, of nearly all queries."""
@@ -100,7 +100,8 @@ class GraphSearch:
         return Neighbours(rows.astype(np.int64), np.where(rows < 0, np.inf, distances))
 
 
-def _faiss() -> Any:
+def faiss() -> Any:
+    """The library. Raises InputError where it is not installed."""
     try:
         return import_module("faiss")
     except ImportError as error:

@@ -79,7 +79,7 @@ class TrainAll:
             (is_checkpoint(first), TrainNet(**start, output=first, **self._time(FIRST))),
             (is_checkpoint(home), TrainNet(**last, output=home, **self._time(LAST))),
             ((home / confidences.FILE).is_file(), TrainConfidence(**made, views=10 * self.views, seed=self.seed)),
-            ((home / bank.FILE).is_file(), TrainSurface(**made, device=self.device)),
+            ((home / bank.FILE).is_file(), TrainSurface(**made, views=self.views, device=self.device)),
         )
         for done, stage in stages:
             if not done:

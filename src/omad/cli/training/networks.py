@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import omad
 from omad.common.errors import InputError
@@ -29,16 +29,18 @@ from ..options import (
 with lazy_imports():
     from omad.common.runtime import pick_device
     from omad.data.clutter.settings import Clutter
-    from omad.data.source import load_models, load_objects
+    from omad.data.source import is_generated, load_models, load_objects
     from omad.data.training_views import ViewSettings
     from omad.evaluation.baselines.ancsh.training import AncshTraining, train_ancsh
     from omad.evaluation.baselines.siamese import SiameseTraining, train_siamese
     from omad.evaluation.confidence import fitting
+    from omad.evaluation.confidence.surface_shares import measured_shares
     from omad.model.backbones import BackboneConfig, get_backbone
     from omad.model.checkpoint import Network, find_weights, load, save, shipped_categories, training_record
     from omad.model.omadnet import OmadNet
     from omad.model.priornet import PriorNet
     from omad.training.loop import Schedule
+    from omad.training.processes import start
     from omad.training.train_net import NetLossWeights, NetTraining, train_net
     from omad.training.train_prior import PriorTraining, train_prior
     from omad.training.train_surfaces import surface_bank
@@ -63,7 +65,7 @@ class _Training:
     steps: int | None = None
     """Optimiser steps; default: the preset's."""
     batch: int | None = None
-    """Samples a step; default: the preset's."""
+    """Samples a step, of all processes together; default: the preset's."""
     learning_rate: float | None = None
     """Peak learning rate; default: the preset's. Half of it serves for fine-tuning."""
     max_minutes: float | None = None
@@ -74,23 +76,36 @@ class _Training:
     threads: int = 0
     """CPU threads; 0: PyTorch's choice. One is faster than two where another program computes."""
     device: Device = "auto"
+    devices: int = 1
+    """Processes on each machine, one an accelerator, that share every batch; on the CPU as many as are asked for. The
+    same command resumes with another number of them. More than one in all need omad[cluster]."""
+    nodes: int = 1
+    """Machines; torchrun or SLURM starts the command on all of them."""
+    accumulate: int = 1
+    """Parts that a process makes its share of a batch in, where memory holds no more at a time."""
+    precision: Literal["float32", "bf16"] = "float32"
+    """Of the backbone on an accelerator: bf16 takes half the memory, and where it is built for it half the time."""
     json: Json = False
 
-    def learn(self, train: Callable[..., Network], preset: Any, **start: Any) -> Answer:
+    def learn(self, train: Callable[..., Network], preset: Any, **begun: Any) -> Answer:
         """Train with the ``preset``, but for what the options say otherwise, and save it. Raises InputError."""
         asked = {"steps": self.steps, "batch": self.batch, "learning_rate": self.learning_rate}
         check_positive(objects=self.objects, max_minutes=self.max_minutes, save_seconds=self.save_seconds, **asked)
+        check_positive(devices=self.devices, nodes=self.nodes, accumulate=self.accumulate)
         check_seed(self.seed)
-        use_threads(self.threads)
-        category, device = omad.get_category(self.category), pick_device(self.device)
-        models = load_objects(self.source, category, self.objects, "train", 0, self.broken, self.variants)
         given = {name: value for name, value in asked.items() if value is not None}
         schedule = replace(
             preset.schedule, seed=self.seed, max_minutes=self.max_minutes, save_seconds=self.save_seconds, **given
         )
-        start |= {"folder": self.output, "settings": replace(preset, schedule=schedule), "device": device}
-        net = train(models=models, category=category, **start)
-        save(net, self.output, self.record(schedule))
+        processes = start(self.devices, self.nodes, self.accumulate, self.device, self.precision)
+        with processes.heard():
+            use_threads(self.threads)
+            category = omad.get_category(self.category)
+            models = load_objects(self.source, category, self.objects, "train", 0, self.broken, self.variants)
+            begun |= {"folder": self.output, "settings": replace(preset, schedule=schedule), "processes": processes}
+            net = train(models=models, category=category, device=processes.device, **begun)
+            if processes.first:
+                save(net, self.output, self.record(schedule))
         return Answer({"checkpoint": str(self.output)})
 
     def record(self, schedule: Schedule) -> dict[str, Any]:
@@ -117,7 +132,8 @@ class TrainPrior(_Training):
 @dataclass(frozen=True, kw_only=True)
 class TrainSurface:
     """Make the bank of objects that estimates take their surfaces from: no training, a minute or two. To be made anew
-    whenever the prior or the procedural generator changes."""
+    whenever the prior or the procedural generator changes. How far --to-surface should go is measured, too, on views of
+    objects that the network has not seen: of another network it is another way."""
 
     category: CategoryName
     weights: Path | None = None
@@ -128,13 +144,18 @@ class TrainSurface:
     """procedural, or a generator of your own (.py) or a folder of models, which are kept with their meshes."""
     objects: int = 1000
     """Procedural objects."""
+    unseen: str | None = None
+    """Models to measure on, that the network has not seen; default: others by the generator, and nothing is measured
+    where --source is a folder."""
+    views: int = 120
+    """Of these, every second one spoilt."""
     threads: int = 0
     """CPU threads; 0: PyTorch's choice."""
     device: Device = "auto"
     json: Json = False
 
     def run(self) -> Answer:
-        check_positive(objects=self.objects)
+        check_positive(objects=self.objects, views=self.views)
         use_threads(self.threads)
         folder = find_weights(self.weights or self.category)
         own = folder / "prior"
@@ -144,7 +165,15 @@ class TrainSurface:
         models = load_models(self.source, net.category, self.objects, "train", 0).models
         bank = surface_bank(net, models, generated=self.source == "procedural")
         path = bank.save(folder)
-        return Answer({"file": str(path), "objects": len(bank), "bytes": path.stat().st_size})
+        unseen = self.unseen or (self.source if is_generated(self.source) else None)
+        record: dict[str, Any] = {}
+        if unseen is not None:
+            models = load_models(unseen, net.category, self.views, "train", UNSEEN).models
+            shares = measured_shares(omad.Estimator.from_pretrained(folder), models, self.views, seed=0)
+            if shares is not None:
+                path = replace(bank, shares=shares).save(folder)
+                record = {"shares": shares.taken.tolist(), "errors": shares.errors.tolist(), "views": shares.views}
+        return Answer({"file": str(path), "objects": len(bank), "bytes": path.stat().st_size, **record})
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -190,7 +190,7 @@ def render_to_folder(
         raise InputError(f"{path}: rendering needs object models, each with a name of its own; got {names}")
     if any(Path(name).name != name for name in names):
         raise InputError(f"{path}: an object's name becomes a folder's name; rename one of {names}")
-    scale, dataset = _depth_scale(category), path / "dataset.json"
+    scale, dataset = depth_scale_of(category), path / "dataset.json"
     camera = _camera_record(STANDARD_CAMERA)
     record = {"format": FORMAT, "category": category.name, "camera": camera, "depth_scale": scale, "seed": seed}
     record |= {"noise": asdict(noise) if noise else None, "objects": names}
@@ -298,8 +298,9 @@ def _run(draw: Callable[[ViewSeed], None], seeds: list[ViewSeed], processes: int
         yield from pool.map(_work, seeds, chunksize=8)
 
 
-def _depth_scale(category: Category) -> float:
-    """Tenths of millimetres, or the next power of ten that reaches the farthest standard view in 16 bits."""
+def depth_scale_of(category: Category) -> float:
+    """Metres per stored integer: tenths of millimetres, or the next power of ten that reaches the farthest standard
+    view in 16 bits."""
     scale = 1e-4
     while REACH * category.metres_per_unit > scale * (2**16 - 1):
         scale *= 10
@@ -336,11 +337,16 @@ def _read_json(path: Path) -> dict[str, Any]:
 
 
 def write_depth(path: Path, depth: np.ndarray, depth_scale: float) -> np.ndarray:
-    """Write depth (H, W) metres as 16-bit PNG -> the stored integers; what does not fit into 16 bits is 0."""
-    stored = np.rint(depth / depth_scale)
-    stored = np.where(stored < 2**16, stored, 0).astype(np.uint16)
+    """Write depth (H, W) metres as 16-bit PNG -> the stored integers."""
+    stored = as_stored(depth, depth_scale)
     write_png(path, stored)
     return stored
+
+
+def as_stored(depth: np.ndarray, depth_scale: float) -> np.ndarray:
+    """(H, W) uint16 of depth (H, W) metres; what does not fit into 16 bits is 0."""
+    stored = np.rint(depth / depth_scale)
+    return np.where(stored < 2**16, stored, 0).astype(np.uint16)
 
 
 def write_png(path: Path, image: np.ndarray) -> None:

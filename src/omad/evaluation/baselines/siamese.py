@@ -24,6 +24,7 @@ from omad.objects.category import Category
 from omad.objects.model import SampledObject
 from omad.sensing.observation import Observation
 from omad.training.loop import seeded_bank, train_network
+from omad.training.processes import ALONE, Processes
 from omad.training.train_net import ViewTraining
 
 EMBEDDING = 32
@@ -89,6 +90,7 @@ def train_siamese(
     settings: SiameseTraining,
     device: torch.device | str = "cpu",
     initial: OmadNet | None = None,
+    processes: Processes = ALONE,
 ) -> SiameseNet:
     """Train on views of ``models``, its backbone from that of ``initial`` where given; returns the averaged
     network. ``folder`` as ``omad.training.train``."""
@@ -96,7 +98,7 @@ def train_siamese(
     net = SiameseNet(category, settings.backbone).to(device)
     if initial is not None:
         net.backbone.load_state_dict(initial.backbone.state_dict())
-    like, batch, each = bank.points, settings.schedule.batch, settings.views_of_object
+    like, batch, each = bank.points, processes.share(settings.schedule.batch), settings.views_of_object
     drawn = -(-batch // each)
 
     def loss_terms(module: SiameseNet, draw: torch.Generator) -> dict[str, Tensor]:
@@ -109,7 +111,7 @@ def train_siamese(
             points = to_input_frame(views.points, first_frame(views.points))
         return contrastive_losses(module(points), objects, settings.margin)
 
-    return train_network(net, loss_terms, settings, models, folder, bank, [initial])
+    return train_network(net, loss_terms, settings, models, folder, bank, [initial], processes=processes)
 
 
 class SiameseEncoder:

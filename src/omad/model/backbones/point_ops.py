@@ -35,8 +35,14 @@ def nearest(queries: Tensor, points: Tensor, k: int) -> tuple[Tensor, Tensor]:
 
 
 def plain_nearest(queries: Tensor, points: Tensor, k: int) -> tuple[Tensor, Tensor]:
-    """``nearest`` on any device."""
-    distance = queries.square().sum(-1, keepdim=True) - 2 * queries @ points.mT + points.square().sum(-1)[:, None]
+    """``nearest`` on any device, whatever precision the layers around it have."""
+    with torch.autocast(queries.device.type, enabled=False):
+        if torch.compiler.is_exporting():  # to the last digit, which a product loses far from the origin
+            distance = (queries[:, :, None] - points[:, None]).square().sum(-1)
+        else:
+            distance = (
+                queries.square().sum(-1, keepdim=True) - 2 * queries @ points.mT + points.square().sum(-1)[:, None]
+            )
     squared, index = distance.topk(k, largest=False, sorted=False)
     return squared.clamp(min=0), index
 
@@ -65,8 +71,10 @@ def interpolate(queries: Tensor, points: Tensor, values: Tensor) -> Tensor:
 
 
 def compiled(*tensors: Tensor) -> bool:
-    """Whether the compiled loops take these tensors."""
-    return all(tensor.device.type == "cpu" and tensor.dtype == torch.float32 for tensor in tensors)
+    """Whether the compiled loops take these tensors. What is exported consists of plain operations."""
+    return not torch.compiler.is_exporting() and all(
+        tensor.device.type == "cpu" and tensor.dtype == torch.float32 for tensor in tensors
+    )
 
 
 def as_array(tensor: Tensor) -> Any:

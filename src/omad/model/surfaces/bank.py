@@ -23,6 +23,7 @@ from omad.objects.category import Category
 from omad.objects.model import ObjectModel
 
 from ..prior import OmadPrior
+from .shares import Shares
 from .template import Template
 
 FILE, CHECKSUM = "surfaces.npz", "sha256"
@@ -44,6 +45,8 @@ class ShapeBank:
     """(N, M, 3) float32, canonical space at rest, category units."""
     meshes: Sequence[tuple[Mesh, ...]] = ()
     """Of each object, a part each, canonical space, metres; none where the generator makes them."""
+    shares: Shares | None = None
+    """How far answers go towards the fits; None where it was not measured."""
     _made: dict[int, Template] = field(default_factory=dict, repr=False)
 
     def __len__(self) -> int:
@@ -87,6 +90,8 @@ class ShapeBank:
             arrays["vertices"] = np.concatenate([part.vertices for part in parts]).astype(np.float32)
             arrays["faces"] = np.concatenate([part.faces for part in parts]).astype(np.int32)
             arrays["counts"] = np.array([(len(part.vertices), len(part.faces)) for part in parts])
+        if self.shares is not None:
+            arrays |= self.shares.arrays()
         arrays[CHECKSUM] = np.array(digest_of(arrays))
         path = folder / FILE
         write_atomic(path, lambda file: np.savez_compressed(file, allow_pickle=False, **arrays))
@@ -103,13 +108,13 @@ class ShapeBank:
                 raise InputError(f"{path}: is damaged (its numbers do not give its checksum); {cure}")
             wanted = Shape(None, category.num_keypoints, 3)
             known, basis = wanted.array(arrays["keypoints"]).astype(np.float32), arrays["basis"]
-            meshes = _meshes(arrays, len(category.parts))
+            meshes, shares = _meshes(arrays, len(category.parts)), Shares.among(arrays, len(category.joints))
             if not len(known) or (meshes and len(meshes) != len(known)):
                 raise ValueError("keypoints and meshes are not of the same objects")
         mine = as_numpy(prior.learned_basis)
         if basis.shape != mine.shape or not np.allclose(basis, mine, rtol=0, atol=ROUNDED):
             raise InputError(f"{path}: was made with another prior than these weights; {cure}")
-        return cls(category, basis, known, meshes)
+        return cls(category, basis, known, meshes, shares)
 
     @classmethod
     def of_models(

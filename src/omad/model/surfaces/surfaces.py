@@ -16,7 +16,7 @@ from omad.objects.category import Category
 from omad.objects.pose import ObjectPose
 
 from ..fitting.state import State
-from ..posed_object import PosedObject
+from ..posed_object import PosedObject, posed_objects
 from ..prior import OmadPrior
 from .bank import ShapeBank, bank_beside
 from .fitting import Cloud, FitConfig, SurfaceFit
@@ -33,13 +33,21 @@ class PosedSurface:
     placed: ObjectPose
     """Metres, camera frame."""
 
-    def mirrored(self, turning: Sequence[bool]) -> Self:
+    def mirrored(self, turning: Sequence[bool]) -> PosedSurface:
         """Their image in the camera's plane x = 0; ``turning`` as ``Category`` has it."""
-        return type(self)(tuple(part.mirrored() for part in self.parts), self.placed.mirrored(turning))
+        return PosedSurface(tuple(part.mirrored() for part in self.parts), self.placed.mirrored(turning))
 
     def posed(self) -> tuple[Mesh, ...]:
         """Each part's surface where it is, camera frame."""
         return tuple(part.carried(T) for part, T in zip(self.parts, self.placed.T_camera_part, strict=True))
+
+
+@dataclass(frozen=True)
+class FittedSurface(PosedSurface):
+    """A surface that was fitted to a cloud."""
+
+    step: np.ndarray
+    """(P,) from what was found before to where it is, in the order of ``State``; category units."""
 
 
 @dataclass(frozen=True)
@@ -98,7 +106,7 @@ class Surfaces:
 
     def fitted(
         self, found: PosedObject, covariance: np.ndarray, points: np.ndarray, labels: np.ndarray
-    ) -> PosedSurface:
+    ) -> FittedSurface:
         """The surface of an object that was found in a cloud (N, 3), camera frame, metres, with parts ``labels`` (N,),
         below zero where none. ``covariance`` (P, P) of what was found: metres and radians.
 
@@ -108,7 +116,7 @@ class Surfaces:
         unit, config = self.category.metres_per_unit, self.config
         cloud = Cloud.of(points / unit, labels, config.fit.most)
         if cloud is None or not np.isfinite(covariance).all():
-            return PosedSurface(self.of_keypoints(found.canonical_keypoints), found.placed)
+            return FittedSurface(self.of_keypoints(found.canonical_keypoints), found.placed, np.zeros(len(covariance)))
         scale = np.concatenate([np.ones(3), np.full(3, unit), self.category.state_units, np.ones(len(found.beta))])
         limits = np.array([joint.limits for joint in self.category.joints])
         start = self._state(found)
@@ -117,7 +125,12 @@ class Surfaces:
         placed = fit(placed, self.bank.template(self.bank.nearest(placed.keypoints, 1)[0][0]))
         best = self._chosen(fit, placed)
         placed = fit(placed, best)
-        return PosedSurface(_in_metres(best.at(placed.keypoints), unit), self._metric(placed))
+        return FittedSurface(_in_metres(best.at(placed.keypoints), unit), self._metric(placed), placed.moved)
+
+    def towards(self, found: PosedObject, fitted: FittedSurface, share: np.ndarray) -> PosedObject:
+        """What was found, so far on its way to what was fitted to it: ``share`` (P,) of the step."""
+        step = torch.as_tensor(share * fitted.step)[None]
+        return posed_objects(self._doubles, self.category, self._state(found).moved(step))[0]
 
     def _chosen(self, fit: SurfaceFit, placed: Placed) -> Template:
         """Of the objects with near keypoints the one that lies best on the cloud; then the base, and all that moves,

@@ -16,6 +16,7 @@ from omad.model.omadnet import OmadNet
 from omad.objects.category import Category
 from omad.objects.model import SampledObject
 from omad.training.loop import seeded_bank, train_network
+from omad.training.processes import ALONE, Processes
 from omad.training.train_net import NetTraining, ViewTraining, disturbed_frames
 
 from .coordinates import Coordinates, linked, of_own_part, part_boxes, pick, true_coordinates
@@ -50,10 +51,14 @@ def train_ancsh(
     settings: AncshTraining,
     device: torch.device | str = "cpu",
     initial: OmadNet | None = None,
+    processes: Processes = ALONE,
 ) -> AncshNet:
     """Train A-NCSH on views of ``models``, its backbone from that of ``initial`` where given; returns the averaged
     network. ``folder`` as ``omad.training.train``."""
-    bank = seeded_bank(models, category, settings.schedule.seed, device)
+    bank, share = (
+        seeded_bank(models, category, settings.schedule.seed, device),
+        processes.share(settings.schedule.batch),
+    )
     boxes = part_boxes(bank, len(category.parts))
     net = AncshNet(category, settings.backbone).to(device)
     if initial is not None:
@@ -61,12 +66,12 @@ def train_ancsh(
 
     def loss_terms(module: AncshNet, draw: torch.Generator) -> dict[str, Tensor]:
         with torch.no_grad():
-            views = draw_views(bank, category, settings.schedule.batch, settings.views, draw)
+            views = draw_views(bank, category, share, settings.views, draw)
             truth = true_coordinates(views, boxes, category)
             frames = disturbed_frames(views, settings.second_looks, settings.turned, draw)
         return ancsh_losses(module(to_input_frame(views.points, frames)), truth, category, settings.weights)
 
-    return train_network(net, loss_terms, settings, models, folder, bank, [initial])
+    return train_network(net, loss_terms, settings, models, folder, bank, [initial], processes=processes)
 
 
 def ancsh_losses(

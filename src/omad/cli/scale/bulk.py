@@ -5,9 +5,9 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import tyro
 from tyro.conf import OmitArgPrefixes
@@ -17,15 +17,17 @@ from omad.common.errors import InputError
 from omad.common.lazy import lazy_imports
 from omad.sensing.input_options import FrameOptions, InputOptions
 
-from .answer import Answer
-from .options import CategoryCommand, Fast, check_positive, check_workers
+from ..answer import Answer
+from ..options import CategoryCommand, Cluster, Fast, check_positive, check_workers, everywhere
 
 with lazy_imports():
     from omad.applications.bulk.results import Results
     from omad.applications.bulk.sources import Source, open_sources
     from omad.applications.bulk.stream import Frame, estimate_stream
+    from omad.applications.cluster.bulk import BulkWork
     from omad.common.batches import progress
 
+T = TypeVar("T", InputOptions, FrameOptions)
 TOLD = 10
 """Refused images that are named on stderr."""
 
@@ -39,9 +41,11 @@ class Bulk(CategoryCommand):
     """
 
     inputs: tyro.conf.Positional[tuple[Path, ...]]
-    """Folders of depth images or clouds; stacks (N, H, W) as NPY or NPZ; Parquet files with a column depth."""
+    """Folders of depth images or clouds; stacks (N, H, W) as NPY or NPZ; Parquet files with a column depth, or their
+    addresses."""
     output: Path
     """Results: .jsonl, a JSON object a line, or .parquet (pip install 'omad[parquet]')."""
+    scale: OmitArgPrefixes[Cluster] = Cluster()
     reading: OmitArgPrefixes[InputOptions] = InputOptions()
     frame: OmitArgPrefixes[FrameOptions] = FrameOptions()
     fast: Fast = False
@@ -54,6 +58,8 @@ class Bulk(CategoryCommand):
         check_positive(depth_scale=self.reading.depth_scale, batch=self.batch)
         workers = check_workers(self.workers)
         source = open_sources(self.inputs, self.reading, self.frame)
+        if self.scale.cluster:
+            return self._in_shards(source, workers)
         results = Results.open(self.output, self._made_of(source), self.batch)
         estimator, earlier, began = self.estimator(self.fast), results.done, time.perf_counter()
         found = estimate_stream(estimator, _rest(source, results), workers, self.batch)
@@ -70,6 +76,15 @@ class Bulk(CategoryCommand):
         record |= {"done_before": earlier, "seconds": seconds}
         record["images_per_second"] = (results.done - earlier) / seconds
         return Answer(record, code=2 if results.refused else 0)
+
+    def _in_shards(self, source: Source, workers: int) -> Answer:
+        weights = everywhere(self.weights) or self.category
+        self.estimator(self.fast)  # what is wrong with weights is said here, not by every machine
+        inputs = tuple(map(everywhere, self.inputs))
+        reading, frame = _everywhere(self.reading), _everywhere(self.frame)
+        work = BulkWork(inputs, reading, frame, weights, self.device, self.fast, self.batch)
+        done = self.scale.run(work, source.total, self.output, self._made_of(source), workers, self.device)
+        return Answer(done.to_dict(), code=2 if done.report.refused else 0)
 
     def _made_of(self, source: Source) -> dict[str, Any]:
         """What rows depend on, as JSON gives it back."""
@@ -100,3 +115,8 @@ def _rest(source: Source, results: Results) -> Iterator[Frame]:
     if next(frames).name != results.last:
         raise InputError(f"{results.part}: the inputs have changed; delete it, or give another --output")
     return frames
+
+
+def _everywhere(options: T) -> T:
+    """The same with their paths as other processes find them."""
+    return replace(options, **{name: everywhere(value) for name, value in vars(options).items()})

@@ -1,0 +1,1 @@
+"""Estimators as programs of their own, for machines without PyTorch."""

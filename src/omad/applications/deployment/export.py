@@ -1,0 +1,72 @@
+"""A folder that is an estimator: two graphs, numbers, and a program that needs NumPy and ONNX Runtime alone."""
+
+import copy
+import shutil
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from omad.common.files import make_folder, write_atomic, write_json, write_text
+from omad.estimation import estimator as looking
+from omad.estimation.estimator import EstimatorConfig
+from omad.estimation.looks import shown
+from omad.model import network_input, point_choice
+from omad.model.fitting.energy import ShapePrior
+from omad.model.omadnet import OmadNet
+from omad.sensing.observation import MIN_POINTS
+
+from . import program
+from .graphs import energy_graph, network_graph
+
+NUMBERS, PROGRAM, NEEDS = "estimator.json", "estimate.py", "requirements.txt"
+NETWORK, ENERGY = "network.onnx", "energy.onnx"
+
+
+def deploy(net: OmadNet, folder: Path, config: EstimatorConfig) -> list[str]:
+    """Write the program that answers as ``Estimator(net, config)`` does; returns the names of its files. Raises
+    InputError where ONNX's exporter is not installed."""
+    make_folder(folder)
+    net = copy.deepcopy(net).cpu().eval()
+    network_graph(net).save(folder / NETWORK)
+    write_json(folder / NUMBERS, numbers(net, config), indent=1)
+    energy_graph(net.prior).save(folder / ENERGY)  # whose numbers are doubles from here on
+    source = Path(program.__file__)
+    write_atomic(folder / PROGRAM, lambda path: shutil.copyfile(source, path))
+    write_text(folder / NEEDS, "numpy>=1.26\nonnxruntime>=1.20\n")
+    return [NETWORK, ENERGY, NUMBERS, PROGRAM, NEEDS]
+
+
+def numbers(net: OmadNet, config: EstimatorConfig) -> dict[str, Any]:
+    """What the program knows besides the graphs."""
+    category, fit, prior = net.category, config.refinement, net.prior
+    shape = ShapePrior.of(prior.beta_mean, prior.beta_covariance, fit.prior_weight)
+    return {
+        "category": category.name,
+        "joints": [joint.name for joint in category.joints],
+        "turning": list(category.turning),
+        "either_hand": category.either_hand,
+        "metres_per_unit": category.metres_per_unit,
+        "state_units": np.asarray(category.state_units).tolist(),
+        "limits": [list(joint.limits) for joint in category.joints],
+        "points": net.backbone.config.points,
+        "tells_outside": net.tells_outside,
+        "own_states": net.own_states,
+        "samples": list(config.samples),
+        "seed": config.seed,
+        "cells": point_choice.CELLS_SEEN,
+        "far": network_input.FAR,
+        "least_points": MIN_POINTS,
+        "sure": shown.SURE,
+        "few": shown.FEW,
+        "left": shown.LEFT,
+        "unsure": looking.UNSURE,
+        "surer": looking.SURER,
+        "beta_mean": shape.mean.double().tolist(),
+        "whitening": shape.whitening.tolist(),
+        "huber": fit.huber,
+        "limit_sigma": fit.limit_sigma,
+        "trust_region": asdict(fit.trust_region),
+        "termination": asdict(fit.termination),
+    }

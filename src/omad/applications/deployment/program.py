@@ -1,0 +1,388 @@
+"""Shape, pose, joint states and joint axes of one articulated object, from the points of one depth view.
+
+This file lies in a folder with two ONNX graphs and a table of numbers, and needs NumPy and ONNX Runtime alone:
+
+    python estimate.py points.npy
+    python estimate.py depth.npy --intrinsics 600,600,319.5,239.5 --mask mask.npy
+
+    from estimate import Program
+    answer = Program()(points)              # (N, 3) metres, camera frame: x right, y down, z forward
+
+It does what ``omad.Estimator`` does: a look in camera axes, a fit, a look in the frame found, a fit; without points
+that are not on the object, and once more in turned frames where it is unsure. Metres and radians.
+"""
+
+import argparse
+import json
+import math
+import sys
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import onnxruntime
+
+MIRROR = np.array([-1.0, 1.0, 1.0])
+HALF_TURNS = [np.diag([*signs, 1.0]) for signs in ((1, -1, -1), (-1, 1, -1), (-1, -1, 1))]
+MASK = 2**64 - 1
+
+
+@dataclass(frozen=True)
+class Answer:
+    """About one object; keypoints, axes, pivots and parts in the camera frame."""
+
+    beta: np.ndarray
+    """(D,) shape parameters."""
+    joint_states: np.ndarray
+    """(J,) radians or metres."""
+    state_std: np.ndarray
+    """(J,) standard deviations by least squares."""
+    axes: np.ndarray
+    """(J, 3) unit."""
+    pivots: np.ndarray
+    """(J, 3)."""
+    T_camera_part: np.ndarray
+    """(J + 1, 4, 4); the first is the base."""
+    keypoints: np.ndarray
+    """(M, 3)."""
+    keypoint_std: np.ndarray
+    """(M,) expected errors of the keypoints that the fit was given."""
+    residual: float
+    """RMS distance of keypoints from where they were seen."""
+    converged: bool
+
+    def mirrored(self, turning: np.ndarray) -> "Answer":
+        """Its image in the plane x = 0; ``beta`` stays that of the object in the mirror."""
+        flip = np.diag([*MIRROR, 1.0])
+        axes = np.where(turning[:, None], -self.axes * MIRROR, self.axes * MIRROR)
+        placed = {"pivots": self.pivots * MIRROR, "keypoints": self.keypoints * MIRROR}
+        return replace(self, axes=axes, T_camera_part=flip @ self.T_camera_part @ flip, **placed)
+
+
+@dataclass(frozen=True)
+class Look:
+    """What the network says of one cloud, in the camera frame and category units."""
+
+    keypoints: np.ndarray
+    """(M, 3)."""
+    weights: np.ndarray
+    """(M,) 1 / sigma^2."""
+    row: np.ndarray
+    """(16 + J + D) its own state: base pose row by row, joint states, beta."""
+    logits: np.ndarray
+    """(n, K) of the points shown."""
+
+    @property
+    def expected_error(self) -> float:
+        """Of keypoints, geometric mean."""
+        return float(np.exp(-0.5 * np.log(self.weights).mean()))
+
+
+@dataclass(frozen=True)
+class Fit:
+    """What the refinement found."""
+
+    row: np.ndarray
+    covariance: np.ndarray
+    """(P, P) of rotation, translation, joint states, beta."""
+    converged: bool
+    residual: float
+
+    @property
+    def frame(self) -> np.ndarray:
+        """T_camera_base."""
+        return self.row[:16].reshape(4, 4)
+
+
+class Program:
+    """An estimator of one category, from the files beside this one."""
+
+    def __init__(self, folder: str | Path = Path(__file__).parent, threads: int = 1) -> None:
+        folder, options = Path(folder), onnxruntime.SessionOptions()
+        options.intra_op_num_threads = threads
+        self.numbers: dict[str, Any] = json.loads((folder / "estimator.json").read_text())
+        graphs: list[Any] = [
+            onnxruntime.InferenceSession(str(folder / name), options, providers=["CPUExecutionProvider"])
+            for name in ("network.onnx", "energy.onnx")
+        ]
+        self._network, self._energy = graphs
+        self._joints, self._turning = len(self.numbers["joints"]), np.array(self.numbers["turning"], bool)
+        self._beta_mean, self._whitening = (np.array(self.numbers[name]) for name in ("beta_mean", "whitening"))
+        self._limits = np.array(self.numbers["limits"]).reshape(-1, 2)
+
+    def __call__(self, points: np.ndarray) -> Answer:
+        """Of points (N, 3). Raises ValueError for too few of them, and for what is no place."""
+        points = np.asarray(points, np.float32)
+        if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
+            raise ValueError("points: give finite numbers of shape (N, 3), metres")
+        if len(points) < self.numbers["least_points"]:
+            raise ValueError(f"points: {len(points)} are too few, at least {self.numbers['least_points']} are needed")
+        plain = self._answer(points)
+        if not self.numbers["either_hand"]:
+            return plain
+        image = self._answer(points * MIRROR.astype(np.float32)).mirrored(self._turning)
+        return min(plain, image, key=lambda answer: float(np.log(answer.keypoint_std).mean()))
+
+    def _answer(self, points: np.ndarray) -> Answer:
+        numbers, samples = self.numbers, self.numbers["samples"]
+        clouds = self._shown(points)
+        frame = first_frame(clouds, numbers["far"])
+        look, crowd = self._look(clouds[: samples[0]], frame), None
+        if numbers["tells_outside"] and self._crowded(look.logits):
+            kept = self._on_object(points, self._look(clouds, frame).logits)
+            if len(kept) >= max(numbers["least_points"], numbers["left"] * len(points)):
+                cleaned = self._shown(points[kept])
+                again = self._look(cleaned[: samples[0]], first_frame(cleaned, numbers["far"]))
+                if again.expected_error < look.expected_error:
+                    crowd, clouds, look = (clouds, look), cleaned, again
+        fit, first = self._refine(look, None), samples[0]
+        for count in samples[1:]:
+            look = self._look(clouds[first : first + count], fit.frame)
+            fit, first = self._refine(look, fit.row), first + count
+        last = samples[-1]
+        if crowd is not None and len(samples) > 1:
+            start = self._refine(crowd[1], None)
+            again = self._look(crowd[0][-last:], start.frame)
+            if again.expected_error < look.expected_error:
+                clouds, look, fit = crowd[0], again, self._refine(again, start.row)
+        if look.expected_error > numbers["unsure"]:
+            look, fit = self._turned(clouds, look, fit)
+        if numbers["own_states"]:
+            fit = self._leaning(fit, look)
+        return self._told(fit, look)
+
+    def _turned(self, clouds: np.ndarray, look: Look, fit: Fit) -> tuple[Look, Fit]:
+        """The surest of the answers that begin in frames turned by half, if it is much surer than that given."""
+        samples, found = self.numbers["samples"], []
+        for turn in HALF_TURNS:
+            start = self._refine(self._look(clouds[: samples[0]], fit.frame @ turn), None)
+            again = self._look(clouds[-samples[-1] :], start.frame)
+            found.append((again, self._refine(again, start.row)))
+        best = min(found, key=lambda pair: pair[0].expected_error)
+        return best if best[0].expected_error < self.numbers["surer"] * look.expected_error else (look, fit)
+
+    def _shown(self, points: np.ndarray) -> np.ndarray:
+        """(samples, n, 3) random choices, category units."""
+        numbers = self.numbers
+        chosen = choose_points(points, numbers["points"], sum(numbers["samples"]), numbers["seed"], numbers["cells"])
+        return (points[chosen] / numbers["metres_per_unit"]).astype(np.float32)
+
+    def _look(self, clouds: np.ndarray, frame: np.ndarray) -> Look:
+        """At random choices (samples, n, 3) of a cloud, in a frame (4, 4)."""
+        frame = frame.astype(np.float32)
+        said = self._network.run(None, {"input": (clouds - frame[:3, 3]) @ frame[:3, :3]})
+        beta, base, states, keypoints, log_sigma, logits = map(np.asarray, said)
+        precision = np.exp(-2 * log_sigma)
+        total = precision.sum(0)
+        mean = (precision[..., None] * keypoints).sum(0) / total[:, None]
+        row = np.concatenate([(frame @ base[0]).ravel(), states.mean(0), beta.mean(0)]).astype(np.float64)
+        seen = (mean @ frame[:3, :3].T + frame[:3, 3]).astype(np.float64)
+        return Look(seen, (total / len(clouds)).astype(np.float64), row, logits.reshape(-1, logits.shape[-1]))
+
+    def _crowded(self, logits: np.ndarray) -> bool:
+        margin = logits[:, -1] - logits[:, :-1].max(1)
+        return bool((margin > self.numbers["sure"]).mean() > self.numbers["few"])
+
+    def _on_object(self, points: np.ndarray, logits: np.ndarray) -> np.ndarray:
+        """Which points are: those whose nearest neighbour among the labelled is."""
+        numbers = self.numbers
+        chosen = choose_points(points, numbers["points"], sum(numbers["samples"]), numbers["seed"], numbers["cells"])
+        seen, outside = points[chosen.ravel()].astype(np.float64), logits.argmax(1) == logits.shape[1] - 1
+        kept = []
+        for start in range(0, len(points), 1024):
+            apart = np.square(seen).sum(1) - 2 * points[start : start + 1024].astype(np.float64) @ seen.T
+            kept.append(~outside[apart.argmin(1)])
+        return np.flatnonzero(np.concatenate(kept))
+
+    def _at(self, row: np.ndarray) -> list[np.ndarray]:
+        return [np.asarray(found)[0] for found in self._energy.run(None, {"input": row[None]})]
+
+    def _refine(self, look: Look, row: np.ndarray | None) -> Fit:
+        """Levenberg-Marquardt on the energy, from ``row`` or from the look's own state with a fitted base."""
+        if row is None:
+            row = look.row.copy()
+            row[:16] = np.eye(4).ravel()
+            row[:16] = fit_transform(self._at(row)[0], look.keypoints, look.weights).ravel()
+        trust, end = self.numbers["trust_region"], self.numbers["termination"]
+        cost, gradient, hessian, residual = self._energy_at(row, look)
+        damping, growth, converged, steps = trust["initial_damping"], 2.0, False, 0
+        while steps < end["max_iterations"] and damping <= trust["max_damping"] and not converged:
+            steps += 1
+            diagonal = hessian.diagonal()
+            scale = np.maximum(diagonal, trust["diagonal_floor"] * diagonal.max())
+            extra = damping * np.where(scale > 0, scale, 1.0)
+            step = -np.linalg.solve(hessian + np.diag(extra), gradient)
+            trial = self._moved(row, step)
+            found = self._energy_at(trial, look)
+            gained, promised = cost - found[0], float(step @ (extra * step - gradient))
+            longest = float(np.abs(step).max())
+            if gained > 0:
+                converged = longest < end["step_tolerance"] or gained < end["cost_tolerance"] * cost
+                damping *= max(1 - (2 * gained / promised - 1) ** 3, 1 / 3)
+                growth, row = 2.0, trial
+                cost, gradient, hessian, residual = found
+            else:  # rounding may hide the last decrease
+                tiny = promised <= 8 * np.finfo(float).eps * cost
+                converged = tiny or (longest < end["step_tolerance"] and damping <= 1)
+                damping, growth = damping * growth, 2 * growth
+        unit = np.sqrt(np.where(hessian.diagonal() > 0, hessian.diagonal(), 1e-12))
+        inverse = np.linalg.inv(hessian / np.outer(unit, unit) + 1e-12 * np.eye(len(unit)))
+        return Fit(row, inverse / np.outer(unit, unit), converged, residual)
+
+    def _energy_at(self, row: np.ndarray, look: Look) -> tuple[float, np.ndarray, np.ndarray, float]:
+        """Energy, J^T r, J^T J, and RMS distance of keypoints."""
+        points, jacobian = self._at(row)[:2]
+        J, huber = self._joints, self.numbers["huber"] or math.inf
+        squared = np.square(points - look.keypoints).sum(1)
+        length = np.sqrt(look.weights * squared)
+        root = np.sqrt(look.weights * np.where(length > huber, huber / np.maximum(length, huber), 1.0))
+        states, white = row[16 : 16 + J], self._whitening @ (row[16 + J :] - self._beta_mean)
+        outside = np.maximum(states - self._limits[:, 1], 0) + np.minimum(states - self._limits[:, 0], 0)
+        limits = np.diag(outside != 0) / self.numbers["limit_sigma"]
+        by_unknowns = np.zeros((3 * len(points) + len(white) + J, jacobian.shape[-1]))
+        by_unknowns[: 3 * len(points)] = (root[:, None, None] * jacobian).reshape(3 * len(points), -1)
+        by_unknowns[3 * len(points) : -J, 6 + J :] = self._whitening
+        by_unknowns[-J:, 6 : 6 + J] = limits
+        off = (root[:, None] * (points - look.keypoints)).ravel()
+        residuals = np.concatenate([off, white, outside / self.numbers["limit_sigma"]])
+        robust = np.where(length > huber, huber * (2 * length - huber), length**2) if huber < math.inf else length**2
+        cost = float(robust.sum() + white @ white + np.square(residuals[-J:]).sum())
+        return cost, by_unknowns.T @ residuals, by_unknowns.T @ by_unknowns, float(np.sqrt(squared.mean()))
+
+    def _moved(self, row: np.ndarray, step: np.ndarray) -> np.ndarray:
+        """After a tangent step (P,)."""
+        moved = row.copy()
+        pose = moved[:16].reshape(4, 4)
+        pose[:3, :3] = rotation(step[:3]) @ pose[:3, :3]
+        pose[:3, 3] += step[3:6]
+        moved[16:] += step[6:]
+        return moved
+
+    def _leaning(self, fit: Fit, look: Look) -> Fit:
+        """With a share of the network's own joint states; the rest follows as the covariance has it go along."""
+        joints = slice(6, 6 + self._joints)
+        wanted = self.numbers["own_states"] * (look.row[16 : 16 + self._joints] - fit.row[16 : 16 + self._joints])
+        gain = fit.covariance[:, joints] @ np.linalg.inv(fit.covariance[joints, joints])
+        row = self._moved(fit.row, gain @ wanted)
+        apart = np.square(self._at(row)[0] - look.keypoints).sum(1)
+        return replace(fit, row=row, residual=float(np.sqrt(apart.mean())))
+
+    def _told(self, fit: Fit, look: Look) -> Answer:
+        unit, J, units = self.numbers["metres_per_unit"], self._joints, np.array(self.numbers["state_units"])
+        points, _, _, axes, pivots, parts = self._at(fit.row)
+        parts = parts.copy()
+        parts[:, :3, 3] *= unit
+        return Answer(
+            beta=fit.row[16 + J :],
+            joint_states=fit.row[16 : 16 + J] * units,
+            state_std=np.sqrt(fit.covariance.diagonal()[6 : 6 + J].clip(0)) * units,
+            axes=axes,
+            pivots=pivots * unit,
+            T_camera_part=parts,
+            keypoints=points * unit,
+            keypoint_std=unit / np.sqrt(look.weights),
+            residual=fit.residual * unit,
+            converged=bool(fit.converged),
+        )
+
+
+def first_frame(clouds: np.ndarray, far: float) -> np.ndarray:
+    """T_camera_input (4, 4): camera axes, moved to the mean of the points that are not ``far`` from their median."""
+    points = clouds.reshape(-1, 3)
+    median = np.sort(points, axis=0)[(len(points) - 1) // 2]
+    near = np.square(points - median).sum(1) <= far**2
+    frame = np.eye(4)
+    frame[:3, 3] = points[near].mean(0, dtype=np.float64)
+    return frame
+
+
+def fit_transform(a: np.ndarray, b: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """The rigid T (4, 4) that brings points ``a`` (N, 3) nearest to ``b``: weighted least squares (Kabsch 1976)."""
+    share = (weights / weights.sum())[:, None]
+    mean_a, mean_b = (share * a).sum(0), (share * b).sum(0)
+    U, _, V = np.linalg.svd((share * (b - mean_b)).T @ (a - mean_a))
+    T = np.eye(4)
+    T[:3, :3] = U * [1.0, 1.0, np.linalg.det(U @ V)] @ V
+    T[:3, 3] = mean_b - T[:3, :3] @ mean_a
+    return T
+
+
+def rotation(v: np.ndarray) -> np.ndarray:
+    """exp of a rotation vector (3,)."""
+    angle = float(np.linalg.norm(v))
+    s, k = (1.0, 0.5) if angle < 1e-7 else (math.sin(angle) / angle, (1 - math.cos(angle)) / angle**2)
+    skew = np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
+    return np.eye(3) + s * skew + k * skew @ skew
+
+
+def choose_points(points: np.ndarray, count: int, samples: int, seed: int, across: int) -> np.ndarray:
+    """(samples, count) independent choices of points (N, 3): each a random point of each of randomly chosen image
+    cells, ``across`` of them along the longer side. SplitMix64 makes the random numbers."""
+    cell = _cells(points, across)
+    members, sizes = np.argsort(cell, kind="stable").tolist(), np.bincount(cell)
+    starts, occupied = (np.cumsum(sizes) - sizes).tolist(), np.flatnonzero(sizes).tolist()
+    chosen, state, cells = np.empty((samples, count), np.int64), seed, len(occupied)
+
+    def below(n: int) -> int:
+        nonlocal state
+        state = (state + 0x9E3779B97F4A7C15) & MASK
+        mixed = ((state ^ (state >> 30)) * 0xBF58476D1CE4E5B9) & MASK
+        mixed = ((mixed ^ (mixed >> 27)) * 0x94D049BB133111EB) & MASK
+        return (((mixed ^ (mixed >> 31)) >> 32) * n) >> 32
+
+    for sample in chosen:
+        for k in range(min(count, cells)):
+            other = k + below(cells - k)
+            c = occupied[other]
+            occupied[other], occupied[k] = occupied[k], c
+            sample[k] = members[starts[c] + below(int(sizes[c]))]
+        for k in range(cells, count):
+            sample[k] = sample[k - cells]
+    return chosen
+
+
+def _cells(points: np.ndarray, across: int) -> np.ndarray:
+    """(N,) the image cell of each point."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        rays = points[:, :2] * (np.float32(1) / points[:, 2:])
+        low, high = np.fmin.reduce(rays), np.fmax.reduce(rays)
+        per_ray = np.float32(1 / (float((high - low).max()) / across + 1e-9))
+        place = (rays - low) * per_ray
+        place = np.where(place > 0, np.minimum(place, np.float32(across)), np.float32(0)).astype(np.int64)
+    return place[:, 1] * (across + 1) + place[:, 0]
+
+
+def back_projected(depth: np.ndarray, intrinsics: list[float], mask: np.ndarray | None) -> np.ndarray:
+    """(N, 3) of a depth image (H, W) in metres; 0 and what is not finite is no measurement."""
+    fx, fy, cx, cy = intrinsics
+    seen = np.isfinite(depth) & (depth > 0)
+    v, u = np.nonzero(seen if mask is None else seen & (mask > 0))
+    z = depth[v, u]
+    return np.stack([(u - cx) / fx * z, (v - cy) / fy * z, z], 1)
+
+
+def main() -> int:
+    """Print the answer as JSON."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("input", help=".npy: points (N, 3) or a depth image (H, W), metres")
+    parser.add_argument("--intrinsics", help="fx,fy,cx,cy of a depth image, pixels")
+    parser.add_argument("--mask", help=".npy: (H, W), not zero on the object")
+    options = parser.parse_args()
+    points = np.load(options.input, allow_pickle=False)
+    if options.intrinsics:
+        mask = np.load(options.mask, allow_pickle=False) if options.mask else None
+        points = back_projected(points, [float(number) for number in options.intrinsics.split(",")], mask)
+    program = Program()
+    try:
+        answer = asdict(program(points))
+    except ValueError as error:
+        print(error, file=sys.stderr)
+        return 2
+    record = {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in answer.items()}
+    print(json.dumps({"category": program.numbers["category"], "joints": program.numbers["joints"], **record}))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,89 @@
+"""Entries on disk: betas as an array, texts and pictures one after the other, and where each ends.
+
+Whatever is asked for is read where it lies; a part of a million entries costs no memory.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+
+from omad.common.errors import InputError
+from omad.common.incoming import is_file, map_array
+
+from ..index import Entry
+from ..signature import Signature
+from .manifest import CURE, StoredPart, to_disk
+
+BETAS, BLOB, ENDS = ".betas.npy", ".entries", ".ends.npy"
+
+
+@dataclass(frozen=True)
+class Portion:
+    """Entries on their way into a catalogue."""
+
+    betas: np.ndarray
+    """(n, D)."""
+    entries: Sequence[Entry]
+    """What is said of each."""
+    covariances: np.ndarray
+    """(D, D) sum of the known ones."""
+    taken: int
+    """Inputs of the source that it was made of, those that gave no entry too."""
+
+    @classmethod
+    def of(cls, signatures: Sequence[Signature], entries: Sequence[Entry], taken: int, size: int) -> Self:
+        """Of signatures of ``size`` numbers."""
+        known = [signature.covariance for signature in signatures if signature.covariance is not None]
+        betas = np.array([signature.beta for signature in signatures]).reshape(-1, size)
+        return cls(betas, entries, np.sum(known, axis=0) if known else np.zeros((size, size)), taken)
+
+    @property
+    def bytes(self) -> int:
+        """Of its pictures."""
+        return sum(len(entry.thumbnail) for entry in self.entries)
+
+
+def write_part(folder: Path, name: str, portions: Sequence[Portion]) -> StoredPart:
+    """Under a new ``name``; on the disk when it returns."""
+    betas, blob, ends = (folder / f"{name}{suffix}" for suffix in (BETAS, BLOB, ENDS))
+    np.save(betas, np.concatenate([portion.betas for portion in portions]).astype(np.float32))
+    marks = []
+    with blob.open("wb") as file:
+        for portion in portions:
+            for entry in portion.entries:
+                for field in (entry.name.encode(), entry.source.encode(), entry.thumbnail):
+                    file.write(field)
+                    marks.append(file.tell())
+    np.save(ends, np.array(marks, dtype=np.int64).reshape(-1, 3))
+    for path in (betas, blob, ends):
+        to_disk(path)
+    return StoredPart(name, len(marks) // 3, (betas.stat().st_size, blob.stat().st_size, ends.stat().st_size))
+
+
+class PartReader:
+    """A part where it lies. Raises InputError where its files are not what was written."""
+
+    def __init__(self, folder: Path, stored: StoredPart, size: int) -> None:
+        paths = [folder / f"{stored.name}{suffix}" for suffix in (BETAS, BLOB, ENDS)]
+        for path, length in zip(paths, stored.sizes, strict=True):
+            if not is_file(path) or path.stat().st_size != length:
+                raise InputError(f"{path}: missing or cut short; {CURE}")
+        self.betas, self._ends = map_array(paths[0]), map_array(paths[2])
+        self._blob = np.memmap(paths[1], np.uint8, "r") if stored.sizes[1] else np.zeros(0, np.uint8)
+        if self.betas.shape != (stored.entries, size) or self._ends.shape != (stored.entries, 3):
+            raise InputError(f"{paths[0]}: is of another catalogue; {CURE}")
+
+    def __len__(self) -> int:
+        return len(self.betas)
+
+    def entry(self, row: int) -> Entry:
+        """Raises InputError where it is damaged."""
+        begin = int(self._ends[row - 1, 2]) if row else 0
+        marks = [begin, *self._ends[row].tolist()]
+        if sorted(marks) != marks or not 0 <= marks[0] <= marks[-1] <= len(self._blob):
+            raise InputError(f"entry {row}: is damaged; {CURE}")
+        name, source, thumbnail = (self._blob[low:high].tobytes() for low, high in zip(marks, marks[1:], strict=False))
+        return Entry(name.decode(errors="replace"), source.decode(errors="replace"), thumbnail)

@@ -1,0 +1,98 @@
+"""What one request asks: a depth image as bytes, and how to read it. Readers and limits are those of files."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Any, Self, TypeVar
+
+from omad.common.errors import InputError, shown
+from omad.sensing.camera_files import parse_camera
+from omad.sensing.depth_files import MILLIMETRES, parse_depth, parse_mask
+from omad.sensing.observation import Observation
+from omad.sensing.reader import Find, InputReader, parse_numbers
+
+AUTO = "auto"
+CHECKS = ("all", "few")
+SEGMENTS = ("plane",)
+FORMATS = ("json", "html")
+PNG_MAGIC = b"\x89PNG"
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Asked:
+    """The fields of a request, by their names."""
+
+    depth: bytes
+    """A file's bytes: 16-bit PNG or TIFF, NPY or NPZ."""
+    intrinsics: str
+    """fx,fy,cx,cy, or what a camera's file holds."""
+    category: str = AUTO
+    """One that is served; auto: the one that explains the image best."""
+    mask: bytes | None = None
+    """A file's bytes, as ``read_mask`` reads it; without, the object is looked for."""
+    mask_id: int | None = None
+    box: list[float] | None = None
+    segment: str | None = None
+    depth_scale: float | None = None
+    """Metres per stored number."""
+    drop_flying: bool = False
+    checks: str = "all"
+    """few: without those that take further estimates."""
+    format: str = "json"
+    """html: the page."""
+
+    @classmethod
+    def of(cls, told: Mapping[str, bytes]) -> Self:
+        """Raises InputError that names the field."""
+        known = [field.name for field in fields(cls)]
+        if unknown := [name for name in told if name not in known]:
+            raise InputError(f"{shown(unknown[0])}: no such field; there are {', '.join(known)}")
+        for name, what in (("depth", "a depth image's file"), ("intrinsics", "fx,fy,cx,cy or a camera's file")):
+            if not told.get(name):
+                raise InputError(f"{name}: is missing; give {what}")
+        texts = {name: _text(name, value) for name, value in told.items() if name not in ("depth", "mask")}
+        read: dict[str, Any] = {name: texts[name] for name in ("intrinsics", "category") if name in texts}
+        for name, among in (("segment", SEGMENTS), ("checks", CHECKS), ("format", FORMATS)):
+            if name in texts:
+                read[name] = _one_of(name, texts[name], {each: each for each in among})
+        if "drop_flying" in texts:
+            read["drop_flying"] = _one_of("drop_flying", texts["drop_flying"], {"true": True, "false": False})
+        if "box" in texts:
+            read["box"] = parse_numbers(texts["box"], 4, "box")
+        for name, kind in (("mask_id", int), ("depth_scale", float)):
+            if name in texts:
+                read[name] = _number(name, texts[name], kind)
+        return cls(told["depth"], mask=told.get("mask") or None, **read)
+
+    def observation(self, find: Find) -> Observation:
+        """The object's points; ``find`` cuts it out where nothing tells which it is. Raises InputError."""
+        camera = parse_camera(self.intrinsics, "intrinsics")
+        mask = None if self.mask is None else parse_mask(self.mask, "mask", self.mask_id)
+        segment = "plane" if self.segment else None
+        reader = InputReader(camera, None, self.box, segment, self.depth_scale, self.drop_flying, find=find)
+        return reader.observe(parse_depth(self.depth, "depth", self.depth_scale), mask)
+
+    @property
+    def metres_per_number(self) -> float | None:
+        """Of the image, where that can be told without its numbers."""
+        return self.depth_scale or (MILLIMETRES if self.depth.startswith(PNG_MAGIC) else None)
+
+
+def _text(name: str, value: bytes) -> str:
+    try:
+        return value.decode()
+    except UnicodeDecodeError as error:
+        raise InputError(f"{name}: is no text; give it as UTF-8") from error
+
+
+def _one_of(name: str, value: str, known: Mapping[str, T]) -> T:
+    if value not in known:
+        raise InputError(f"{name} {shown(repr(value))}: give {' or '.join(known)}")
+    return known[value]
+
+
+def _number(name: str, value: str, kind: type) -> Any:
+    try:
+        return kind(value)
+    except ValueError as error:
+        raise InputError(f"{name} {shown(repr(value))}: give a number") from error

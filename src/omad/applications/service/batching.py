@@ -1,0 +1,77 @@
+"""Requests wait for a free worker; those that wait for the same category are answered together.
+
+Nothing waits for a batch to fill: a worker that is free takes its share of what is there.
+"""
+
+import asyncio
+from collections import deque
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+
+import torch
+
+from .asked import Asked
+from .reply import Reply
+
+
+@dataclass(frozen=True, eq=False)
+class _Waiting:
+    asked: Asked
+    reply: asyncio.Future[Reply]
+
+
+class Batcher:
+    """For one event loop."""
+
+    def __init__(self, answer: Callable[[Sequence[Asked]], list[Reply]], workers: int, batch: int) -> None:
+        """``answer`` is called in one of ``workers`` threads, with up to ``batch`` requests of one category."""
+        self._answer, self._batch, self._idle = answer, batch, workers
+        self._waiting: deque[_Waiting] = deque()
+        self._pool = ThreadPoolExecutor(workers, initializer=torch.set_num_threads, initargs=(1,))
+        self.batches = 0
+        """Handed to a worker so far."""
+
+    @property
+    def waiting(self) -> int:
+        """Requests that no worker has taken yet."""
+        return len(self._waiting)
+
+    async def __call__(self, asked: Asked) -> Reply:
+        """Who is cancelled while it waits is never worked on."""
+        one = _Waiting(asked, asyncio.get_running_loop().create_future())
+        self._waiting.append(one)
+        self._hand_out()
+        try:
+            return await one.reply
+        finally:
+            if not one.reply.done() or one.reply.cancelled():
+                self._waiting = deque(each for each in self._waiting if each is not one)
+
+    def close(self) -> None:
+        """End the threads; what waits is not worked on."""
+        self._pool.shutdown(wait=False, cancel_futures=True)
+
+    def _hand_out(self) -> None:
+        loop = asyncio.get_running_loop()
+        while self._idle and self._waiting:
+            share = min(self._batch, -(-len(self._waiting) // self._idle))
+            category = self._waiting[0].asked.category
+            taken = [each for each in self._waiting if each.asked.category == category][:share]
+            self._waiting = deque(each for each in self._waiting if each not in taken)
+            self._idle -= 1
+            self.batches += 1
+            work = loop.run_in_executor(self._pool, self._answer, [each.asked for each in taken])
+            work.add_done_callback(partial(self._done, taken))
+
+    def _done(self, taken: list[_Waiting], work: asyncio.Future[list[Reply]]) -> None:
+        self._idle += 1
+        if work.cancelled() or work.exception() is not None:
+            replies = [Reply.failed(500, "the work failed")] * len(taken)
+        else:
+            replies = work.result()
+        for each, reply in zip(taken, replies, strict=True):
+            if not each.reply.done():
+                each.reply.set_result(reply)
+        self._hand_out()

@@ -1,0 +1,57 @@
+"""A request's form, read within bounds and in memory: nothing of it touches the disk."""
+
+from collections.abc import AsyncGenerator
+
+from starlette.datastructures import UploadFile
+from starlette.formparsers import MultiPartException, MultiPartParser
+from starlette.requests import ClientDisconnect, Request
+
+from omad.common.errors import InputError, shown
+from omad.common.files import one_line
+from omad.common.limits import limits
+
+PARTS = 24
+"""Of a form; there are half as many fields."""
+
+
+class TooLarge(Exception):
+    """A body beyond the service's limit."""
+
+
+class _InMemory(MultiPartParser):
+    spool_max_size = 2**62
+
+
+async def read_form(request: Request, most: int) -> dict[str, bytes]:
+    """The fields of a multipart form of up to ``most`` bytes, files as they came. Raises InputError, TooLarge."""
+    kind = request.headers.get("content-type", "")
+    if kind.split(";")[0].strip().lower() != "multipart/form-data":
+        raise InputError("the body is no form; send multipart/form-data with depth and intrinsics (curl -F)")
+    length = request.headers.get("content-length", "0")
+    if length.isdigit() and (len(length) > 15 or int(length) > most):
+        raise TooLarge
+    parser = _InMemory(
+        request.headers, _bounded(request, most), max_files=PARTS, max_fields=PARTS,
+        max_part_size=limits().camera_bytes,
+    )  # fmt: skip
+    try:
+        form = await parser.parse()
+    except MultiPartException as error:
+        raise InputError(f"the body is no form ({shown(one_line(error))}); send it anew") from error
+    except ClientDisconnect as error:
+        raise InputError("the body ended too early; send it anew") from error
+    told: dict[str, bytes] = {}
+    for name, value in form.multi_items():
+        if name in told:
+            raise InputError(f"{shown(name)}: is there twice; give it once")
+        told[name] = await value.read() if isinstance(value, UploadFile) else value.encode(errors="replace")
+    return told
+
+
+async def _bounded(request: Request, most: int) -> AsyncGenerator[bytes, None]:
+    seen = 0
+    async for chunk in request.stream():
+        seen += len(chunk)
+        if seen > most:
+            raise TooLarge
+        yield chunk

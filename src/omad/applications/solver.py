@@ -1,0 +1,118 @@
+"""The answer to one observation with all that is said of it: by one category or the likeliest, with what to doubt."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from omad.common.errors import InputError
+from omad.estimation.category_ranking import Candidate, rank, suspected
+from omad.estimation.checks import Check, camera_doubts, doubts, is_doubtful
+from omad.estimation.estimate import Estimate
+from omad.estimation.estimator import Estimator
+from omad.estimation.known import Known
+from omad.estimation.several_views import contradictions
+from omad.sensing.observation import Observation
+
+from .detection.cutting import ObjectFinder
+from .detection.detector import Detector
+
+NOTHING_KNOWN = Known()
+
+
+@dataclass(frozen=True)
+class Found:
+    """The answer to one observation."""
+
+    estimate: Estimate
+    checks: list[Check]
+    """What to look at, as something is doubtful."""
+    ranked: list[Candidate]
+    """All categories, best first, where they were compared."""
+    none: bool = False
+    """It is of none of the categories: the estimate is by the one that it is likest."""
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether it is rather wrong than right."""
+        return is_doubtful(self.estimate, self.checks)
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON, as plain values."""
+        return {**self.estimate.to_dict(), **self._doubts()}
+
+    def none_of_them(self) -> dict[str, Any]:
+        """What is said of a thing that is of none of the categories."""
+        estimate, nothing = self.estimate, {"category": None, "converged": False, "joints": [], "parts": []}
+        return {**nothing, "probability": estimate.probability, "warnings": [*estimate.warnings], **self._doubts()}
+
+    def _doubts(self) -> dict[str, Any]:
+        ranked = {"categories": [candidate.to_dict() for candidate in self.ranked]} if self.ranked else {}
+        return {"doubtful": self.doubtful, "checks": [check.to_dict() for check in self.checks], **ranked}
+
+
+@dataclass(frozen=True)
+class Solver:
+    """Estimates with one category, or with the one of several that explains an observation best."""
+
+    chosen: Estimator | None
+    """Of the category asked for; None: of any."""
+    load_all: Callable[[], Sequence[Estimator]]
+    """Those of all categories, with the one chosen; asked for where they are needed."""
+    known: Known = NOTHING_KNOWN
+    compare: bool = False
+    """Compare with the other categories even where nothing is doubtful."""
+    to_surface: bool = False
+    """Answers go on towards their surfaces, once all is said of them."""
+
+    def __call__(self, observation: Observation, depth_scale: float | None) -> Found:
+        """``depth_scale``: metres per number that it was read with, where known. Raises InputError where there is no
+        answer."""
+        found = self._solve(observation, depth_scale)
+        return replace(found, estimate=found.estimate.to_surface()) if self.to_surface and not found.none else found
+
+    def _solve(self, observation: Observation, depth_scale: float | None) -> Found:
+        if self.chosen is None:
+            if not (ranked := rank(observation, self.all, self.known)):
+                raise InputError("is of none of the categories, at no size; check depth scale, mask and intrinsics")
+            best = ranked[0].estimate
+            return Found(best, doubts(observation, best, depth_scale), ranked, none=bool(best.doubtful))
+        return self.judged(observation, self.chosen(observation, self.known), depth_scale)
+
+    def judged(
+        self, observation: Observation, estimate: Estimate, depth_scale: float | None, further: bool = True
+    ) -> Found:
+        """An ``estimate`` by the category asked for, with what to doubt of it; ``further``: also by estimates with
+        other focal lengths and other categories. Raises InputError where it is no answer."""
+        chosen, ranked = self.chosen, []
+        assert chosen is not None
+        checks = doubts(observation, estimate, depth_scale)
+        if not estimate.is_finite:
+            raise InputError(f"no answer: {checks[0]}")
+        if not further:
+            return Found(estimate, checks, ranked)
+        if not checks:
+            checks += camera_doubts(observation, estimate, lambda views: chosen(views, self.known))
+        odd_size = any(check.name == "size" for check in checks)  # of which every category says anything
+        if (checks and not odd_size) or self.compare:
+            ranked = rank(observation, self.all, self.known)
+            checks += suspected(estimate, ranked)
+        return Found(estimate, checks, ranked)
+
+    def together(self, views: Sequence[Observation], poses: Sequence[Any], depth_scale: float | None) -> list[Found]:
+        """Views of one object, by the category asked for; ``poses`` (4, 4) T_world_camera of each."""
+        assert self.chosen is not None
+        estimates = self.chosen(views, self.known, T_world_camera=np.stack(poses))
+        rows = zip(views, estimates, strict=True)
+        return [Found(e, [*doubts(view, e, depth_scale), *contradictions(e)], []) for view, e in rows]
+
+    def find(self, frame: Observation, box: Sequence[float] | None) -> Observation:
+        """The object in a whole frame. Raises InputError."""
+        return ObjectFinder(Detector([self.chosen] if self.chosen else list(self.all)))(frame, box)
+
+    @cached_property
+    def all(self) -> Sequence[Estimator]:
+        """Those of all categories."""
+        return self.load_all()

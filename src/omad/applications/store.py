@@ -1,0 +1,81 @@
+"""Where shards lie: a folder, or an address that fsspec knows (``s3://``, ``gs://``, ``hdfs://`` ...)."""
+
+import os
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, BinaryIO, cast
+
+from omad.common.errors import InputError
+from omad.common.files import make_folder, one_line, write_atomic
+from omad.model.storage.fetched import address_of
+
+
+@dataclass(frozen=True)
+class Store:
+    """Files by their names, in one place that every process reaches by the same name."""
+
+    place: str
+    """A path, or an address."""
+
+    @classmethod
+    def of(cls, place: str | Path) -> "Store":
+        """Raises InputError for an address whose file system is not installed."""
+        store = cls(address_of(place) or os.path.abspath(place))
+        if store._address is not None:
+            _ = store._system
+        return store
+
+    def names(self) -> set[str]:
+        """Of the files that are there."""
+        if self._address is None:
+            return {entry.name for entry in os.scandir(self.place)} if os.path.isdir(self.place) else set()
+        system, root = self._system
+        try:
+            return {path.rsplit("/", 1)[-1] for path in system.ls(root, detail=False)}
+        except FileNotFoundError:
+            return set()
+
+    def has(self, name: str) -> bool:
+        """Whether a file is there."""
+        if self._address is None:
+            return Path(self.place, name).is_file()
+        system, root = self._system
+        return system.exists(f"{root}/{name}")
+
+    def open(self, name: str) -> BinaryIO:
+        """To read. Raises OSError."""
+        if self._address is None:
+            return Path(self.place, name).open("rb")
+        system, root = self._system
+        return cast(BinaryIO, system.open(f"{root}/{name}", "rb"))
+
+    def read(self, name: str) -> bytes:
+        """All of a file. Raises OSError."""
+        with self.open(name) as file:
+            return file.read()
+
+    def write(self, name: str, content: bytes) -> None:
+        """Whole or not at all; in place of what has that name. Raises InputError, WorkError, OSError."""
+        if self._address is None:
+            make_folder(self.place)
+            write_atomic(Path(self.place, name), lambda path: path.write_bytes(content))
+            return
+        system, root = self._system
+        system.makedirs(root, exist_ok=True)
+        system.pipe_file(f"{root}/{name}", content)  # object stores show an object when all of it is there
+
+    @cached_property
+    def _address(self) -> str | None:
+        return address_of(self.place)
+
+    @cached_property
+    def _system(self) -> tuple[Any, str]:
+        try:
+            from fsspec.core import url_to_fs  # pyright: ignore[reportMissingImports]
+
+            system, root = url_to_fs(self.place)
+        except Exception as error:  # of a file system that is not installed, or a bad address
+            cure = "pip install 'omad[cluster]' and what fsspec asks for"
+            raise InputError(f"{self.place}: cannot be reached ({one_line(error)}); {cure}") from error
+        return system, root.rstrip("/")

@@ -1,0 +1,89 @@
+"""How far answers should go towards the fits to their surfaces: measured on views with known truth."""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from omad.common.batches import progress
+from omad.common.errors import InputError
+from omad.data.rendering.spoils.scenes import draw_scene
+from omad.data.rendering.spoils.spoiling import spoilt, within_range
+from omad.data.rendering.standard_views import View, standard_view
+from omad.estimation.confidence.model import RIGHT_ANGLE, RIGHT_SHARE
+from omad.estimation.estimate import Estimate
+from omad.estimation.estimator import Estimator
+from omad.model.surfaces.shares import Shares
+from omad.model.surfaces.surfaces import FittedSurface
+from omad.objects.category import Category
+from omad.objects.model import ObjectModel
+
+from ..evaluate import true_pose
+from ..metrics import pose_errors
+from .views import thinned_spoil
+
+TRIED = np.array([0.0, 0.25, 0.5, 0.75, 1.0])
+SURE = 1.64
+"""Standard errors that are taken off a mean gain: in 95 of 100 cases what is gained is more than the rest."""
+FEWEST = 10
+"""Views with answers, of which a mean and its standard error say something."""
+
+
+def measured_shares(estimator: Estimator, models: Sequence[ObjectModel], views: int, seed: int) -> Shares | None:
+    """The shares that surely gain most on so many views of the ``models``, every second one spoilt. Errors count no
+    more than those of the worst answer that is right. None where too few views are answered."""
+    errors = []
+    for view in progress(_views(models, estimator.category, views, seed), views, every=30.0):
+        estimate = estimator(view.observation())
+        if estimate.is_finite:
+            errors.append(_errors(estimate, view))
+    return best_shares(np.stack(errors)) if len(errors) >= FEWEST else None
+
+
+def best_shares(errors: np.ndarray) -> Shares:
+    """Those with the largest gain, of which chance is taken off, by errors (N, T, 1 + J) with the ``TRIED`` ones. A
+    gain is the difference of two errors over their sum, so that no view counts more than another."""
+    none, mean = errors[:, :1], errors.mean(0)
+    gain = (none - errors) / np.maximum(none + errors, 1e-12)
+    sure = gain.mean(0) - SURE * gain.std(0, ddof=1) / np.sqrt(len(errors))
+    best = np.where(mean <= mean[0], sure, 0.0).argmax(0)  # the first where none is better: none
+    return Shares(TRIED[best], np.stack([mean[0], mean[-1], mean[best, np.arange(len(best))]]), len(errors))
+
+
+def _errors(estimate: Estimate, view: View) -> np.ndarray:
+    """(T, 1 + J) as ``Shares`` has them, with each of the ``TRIED`` shares of the whole step."""
+    category = estimate.category
+    seen = estimate.in_mirror() if estimate.of_other_hand else estimate
+    surface, surfaces = seen.surface, seen.surfaces
+    assert isinstance(surface, FittedSurface)
+    assert surfaces is not None
+    truth, boxes, diagonal = true_pose(view, category), view.truth.part_boxes, view.truth.diagonal
+    most = np.append(RIGHT_SHARE * diagonal, np.where(category.turning, RIGHT_ANGLE, RIGHT_SHARE * diagonal))
+    found = []
+    for share in TRIED:
+        placed = surfaces.towards(seen, surface, np.full(len(surface.step), share)).placed
+        placed = placed.mirrored(category.turning) if estimate.of_other_hand else placed
+        errors = pose_errors(placed, truth, boxes, category)
+        ends = errors.translation[0] + errors.rotation[0] * diagonal / 2
+        found.append(np.minimum(np.append(ends, errors.joint_state), most))
+    return np.array(found) / np.append(category.metres_per_unit, category.state_units)
+
+
+def _views(models: Sequence[ObjectModel], category: Category, count: int, seed: int) -> Iterator[View]:
+    """Clean and spoilt by turns; those that show too little are left out."""
+    for index in range(count):
+        model, drawn = models[index % len(models)], (seed, index)
+        try:
+            view = standard_view(model, category, drawn) if index % 2 == 0 else _spoilt(model, category, drawn)
+            if view is not None:
+                view.observation()
+        except InputError:
+            continue
+        if view is not None:
+            yield view
+
+
+def _spoilt(model: ObjectModel, category: Category, seed: tuple[int, int]) -> View | None:
+    """At random; None where the camera could not see it."""
+    spoil = thinned_spoil(np.random.default_rng(seed))
+    scene = draw_scene(model, category, seed, spoil.staging)
+    return spoilt(scene, spoil).view if within_range(scene, spoil) else None

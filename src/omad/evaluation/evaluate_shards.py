@@ -1,0 +1,82 @@
+"""``omad eval pose --cluster``: views in shards, and one summary of all of them."""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, fields
+from functools import cache
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from omad.applications.bulk.parquet_images import import_pyarrow
+from omad.common.batches import batched
+from omad.data.source import Broken, load_views
+from omad.estimation.estimator import Estimator, EstimatorConfig
+
+from .evaluate import BATCH, Measured, measure
+from .metrics import PoseErrors
+
+
+@dataclass(frozen=True)
+class PoseWork:
+    """Errors on the views of ``omad eval pose``."""
+
+    weights: str | Path
+    device: str
+    fast: bool
+    source: str
+    objects: int
+    views: int
+    seed: int
+    noise: str
+    broken: Broken
+
+    def __call__(self, start: int, stop: int) -> list[dict[str, Any]]:
+        """Rows of the views from ``start`` to before ``stop``."""
+        estimator = _loaded(self)
+        drawn = (self.objects, self.views, self.seed, self.noise)
+        source = load_views(self.source, estimator.category, *drawn, self.broken, start)
+        some = batched(islice(source.views, stop - start), BATCH)
+        return [_row(result.measured) for views in some for result in measure(estimator, views)]
+
+    def schema(self) -> Any:
+        """pyarrow.Schema of the rows."""
+        pyarrow = import_pyarrow()
+        number = pyarrow.float64()
+        kinds = {f.name: pyarrow.list_(number) if f.type is np.ndarray else pyarrow.bool_() for f in fields(PoseErrors)}
+        errors = pyarrow.struct(kinds)
+        seconds = pyarrow.struct({"network": number, "refinement": number})
+        columns = {"object": pyarrow.string(), "diagonal": number, "seconds": seconds}
+        return pyarrow.schema(columns | {"initial": errors, "refined": errors})
+
+    def refused(self, row: dict[str, Any]) -> bool:
+        """Whether the view could not be estimated."""
+        return row["refined"]["missing"]
+
+
+def from_rows(rows: Iterable[dict[str, Any]]) -> Iterator[Measured]:
+    """What was measured, of rows as they are read back."""
+    for row in rows:
+        yield Measured(**{**row, "initial": _errors(row["initial"]), "refined": _errors(row["refined"])})
+
+
+@cache
+def _loaded(work: PoseWork) -> Estimator:
+    """Once a process."""
+    return Estimator.from_pretrained(work.weights, work.device, EstimatorConfig.fast() if work.fast else None)
+
+
+def _row(one: Measured) -> dict[str, Any]:
+    seconds = None if one.seconds is None else {name: one.seconds[name] for name in ("network", "refinement")}
+    errors = {"initial": _plain(one.initial), "refined": _plain(one.refined)}
+    return {"object": one.object, "diagonal": one.diagonal, "seconds": seconds, **errors}
+
+
+def _plain(errors: PoseErrors) -> dict[str, Any]:
+    return {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in vars(errors).items()}
+
+
+def _errors(row: dict[str, Any]) -> PoseErrors:
+    found: dict[str, Any] = {k: np.array(v, dtype=float) if isinstance(v, list) else v for k, v in row.items()}
+    return PoseErrors(**found)

@@ -1,0 +1,1 @@
+"""How weights are kept: packed, and fetched from where they are."""

@@ -1,0 +1,229 @@
+"""The catalogue on disk: it answers as the one in memory, grows, is merged, and survives what happens to it."""
+
+import importlib.util
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from helpers.categories import LAPTOP
+from omad.applications.retrieval.index import Entry, ShapeIndex
+from omad.applications.retrieval.large import large_index
+from omad.applications.retrieval.large.large_index import LargeIndex, open_index
+from omad.applications.retrieval.large.lists import PROBES, ListSearch, learn_centres, sorted_into_lists, write_lists
+from omad.applications.retrieval.large.parts import Portion
+from omad.applications.retrieval.large.stream import _whole_objects
+from omad.applications.retrieval.signature import Signature, Space
+from omad.common.errors import InputError
+from omad.common.locks import only_one
+from omad.model.prior import OmadPrior
+
+pytestmark = pytest.mark.skipif(
+    importlib.util.find_spec("faiss") is None, reason="FAISS is not installed (extra omad[faiss])"
+)
+SIZE = LAPTOP.basis_size
+SPACE = Space.of(OmadPrior(LAPTOP, generator=torch.Generator().manual_seed(0)), LAPTOP, "beta")
+
+
+def entries(first: int, last: int) -> list[Entry]:
+    return [Entry(f"object {i // 2}", f"fïle {i}", bytes([i % 256]) * (i % 3)) for i in range(first, last)]
+
+
+def betas(count: int) -> np.ndarray:
+    return np.random.default_rng(0).standard_normal((count, SIZE)).astype(np.float32)
+
+
+def stream(count: int, first: int = 0, each: int = 100):
+    for start in range(first, count, each):
+        stop = min(start + each, count)
+        yield Portion(betas(count)[start:stop], entries(start, stop), 2 * (stop - start) * np.eye(SIZE), stop - start)
+
+
+def exact(count: int) -> ShapeIndex:
+    index = ShapeIndex(SPACE)
+    index.add_betas(betas(count), entries(0, count))
+    return index
+
+
+def query(beta: np.ndarray, covariance: np.ndarray | None = None) -> Signature:
+    return Signature(SPACE.prior, beta, covariance)
+
+
+def files(folder: Path) -> set[str]:
+    return {path.name for path in folder.iterdir()}
+
+
+@pytest.fixture
+def small_parts(monkeypatch):
+    monkeypatch.setattr(large_index, "PART_ENTRIES", 700)
+
+
+def test_it_answers_as_the_exact_search_does_while_it_grows(tmp_path, small_parts):
+    index, asked = LargeIndex.create(tmp_path, SPACE), betas(9000)[::90] + 0.1
+    for last, step in ((600, 600), (2000, 300), (9000, 500)):
+        first = len(index)
+        index.add(stream(last, first, step), "numbers")
+        found, truth = LargeIndex.open(tmp_path).nearest(asked, 10), exact(last).nearest(asked, 10)
+        # all lists are looked at where they are few
+        recall = np.mean([len(set(a) & set(b)) / 10 for a, b in zip(truth.rows, found.rows, strict=True)])
+        assert recall > 0.99
+        np.testing.assert_allclose(found.distances[:, 0], truth.distances[:, 0], rtol=1e-4)
+        assert (len(index), index.taken("numbers")) == (last, last)
+    hit = LargeIndex.open(tmp_path).search(query(betas(9000)[8765]), 1)[0]
+    assert (hit.entry, hit.distance) == (entries(8765, 8766)[0], 0.0)
+    np.testing.assert_allclose(index.usual_covariance, 2 * np.eye(SIZE))
+    assert len(index.manifest.lists) <= np.log2(9000 / 700) + 1
+
+
+def test_lists_joined_on_disk_hold_what_the_parts_held(tmp_path):
+    """Any order of joining gives the search the same vectors: with every list looked at it is exact."""
+    vectors = betas(3000)
+    centres = learn_centres(vectors, PROBES)
+    parts = [sorted_into_lists(centres, vectors[first : first + 1000], first) for first in (0, 1000, 2000)]
+    apart = [write_lists(tmp_path, f"lists-{i:06d}", [part]) for i, part in enumerate(parts)]
+    together = write_lists(tmp_path, "lists-000009", parts)
+    truth = np.argsort(np.linalg.norm(vectors[:50, None] - vectors, axis=-1), axis=1, kind="stable")[:, :10]
+    for lists in (apart, [together]):
+        np.testing.assert_array_equal(ListSearch(tmp_path, centres, lists).nearest(vectors[:50], 10).rows, truth)
+
+
+def test_objects_are_named_once_and_information_weighs(tmp_path):
+    index, memory = LargeIndex.create(tmp_path, SPACE), exact(500)
+    index.add(stream(500), "numbers")
+    memory._covariances = 500 * 2 * np.eye(SIZE)  # as the stream says
+    asked = query(betas(500)[17] + 0.2, np.diag(np.linspace(0.1, 9, SIZE)))
+    for by_information in (False, True):
+        found, truth = (one.search_objects(asked, 5, by_information) for one in (index, memory))
+        assert [hit.entry for hit in found] == [hit.entry for hit in truth]
+        np.testing.assert_allclose([h.distance for h in found], [h.distance for h in truth], rtol=1e-4)
+    assert len(index.search_objects(asked, 1000)) == 250
+    with pytest.raises(InputError, match="covariance"):
+        index.search(query(betas(1)[0]), 1, by_information=True)
+
+
+def test_catalogues_are_merged_once(tmp_path, small_parts):
+    """From disk and from memory; what is in already stays out, and what came since comes in."""
+    one, into = LargeIndex.create(tmp_path / "one", SPACE), LargeIndex.create(tmp_path / "all", SPACE)
+    one.add(stream(1500), "numbers")
+    into.merge(one, "one")
+    into.merge(exact(300), "two")
+    into.merge(one, "one")
+    assert len(into) == 1800
+    one.add(stream(1600, 1500), "numbers")
+    into.merge(one, "one")
+    assert len(into) == 1900
+    found = LargeIndex.open(tmp_path / "all").search(query(betas(1600)[1599]), 1)[0]
+    assert (found.entry, found.distance) == (entries(1599, 1600)[0], 0.0)
+    other = Space.of(OmadPrior(LAPTOP, generator=torch.Generator().manual_seed(1)), LAPTOP, "beta")
+    with pytest.raises(InputError, match="other weights"):
+        into.merge(ShapeIndex(other), "foreign")
+
+
+def test_an_empty_one_answers_nothing(tmp_path):
+    index = LargeIndex.create(tmp_path, SPACE)
+    assert index.search(query(np.zeros(SIZE))) == []
+    index.add([Portion(np.zeros((0, SIZE)), [], np.zeros((SIZE, SIZE)), 7)], "refused")
+    assert (len(index), LargeIndex.open(tmp_path).taken("refused")) == (0, 7)
+
+
+def test_portions_end_with_objects():
+    names = [name for name, times in (("a", 100), ("b", 300), ("c", 2)) for _ in range(times)]
+    assert [(some[0], some[-1], len(some)) for some in _whole_objects(names, str)] == [("a", "b", 400), ("c", "c", 2)]
+
+
+def test_what_is_wrong_is_named(tmp_path):
+    with pytest.raises(InputError, match=r"manifest\.json"):
+        open_index(tmp_path)
+    (tmp_path / "mine.txt").write_text("stays")
+    with pytest.raises(InputError, match="not empty"):
+        LargeIndex.create(tmp_path, SPACE)
+    folder = tmp_path / "index"
+    index = LargeIndex.create(folder, SPACE)
+    index.add(stream(1000), "numbers")
+    for metric in ("keypoints", "beta"):
+        other = Space.of(OmadPrior(LAPTOP, generator=torch.Generator().manual_seed(1)), LAPTOP, metric)
+        with pytest.raises(InputError, match="is a catalogue of prior"):
+            LargeIndex.create(folder, other)
+    with pytest.raises(InputError, match="betas"):
+        index.add([Portion(np.full((1, SIZE), np.nan), entries(0, 1), np.eye(SIZE), 1)])
+    with only_one(folder, "another command"), pytest.raises(InputError, match="writing here already"):
+        index.add(stream(1))
+    assert len(LargeIndex.open(folder)) == 1000
+
+
+def test_damaged_files_are_refused_and_never_read_beyond_their_end(tmp_path):
+    LargeIndex.create(tmp_path, SPACE).add(stream(1000), "numbers")
+    for path in sorted(tmp_path.iterdir()):
+        whole = path.read_bytes()
+        for damaged in (b"", whole[: len(whole) // 2], whole[:-8]):
+            path.write_bytes(damaged)
+            with pytest.raises(InputError) as refusal:
+                LargeIndex.open(tmp_path)
+            assert "\n" not in str(refusal.value)
+        path.write_bytes(whole)
+    data = next(tmp_path.glob("lists-*.data"))
+    data.write_bytes(b"?" * data.stat().st_size)  # its rows are nowhere
+    with pytest.raises(InputError, match="damaged"):
+        LargeIndex.open(tmp_path).search(query(np.zeros(SIZE)), 3)
+
+
+def test_who_asks_while_another_adds_gets_an_answer(tmp_path, small_parts):
+    """An open catalogue keeps answering from what was there, though its files may have been joined since."""
+    writer = LargeIndex.create(tmp_path, SPACE)
+    writer.add(stream(700), "numbers")
+    reader = LargeIndex.open(tmp_path)
+    writer.add(stream(5000, 700), "numbers")
+    assert not any((tmp_path / f"{lists.name}.data").exists() for lists in reader.manifest.lists)
+    assert reader.search(query(betas(5000)[50]), 1)[0].entry == entries(50, 51)[0]
+
+
+ADDING = """
+import sys
+from pathlib import Path
+sys.path.insert(0, sys.argv[2])
+from applications.test_large_index import SPACE, stream
+from omad.applications.retrieval.large import large_index
+large_index.PART_ENTRIES = 500
+index = large_index.LargeIndex.create(Path(sys.argv[1]), SPACE)
+index.add(stream(20000, index.taken("numbers")), "numbers")
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(os.name == "nt", reason="signals as POSIX has them")
+def test_killed_at_any_moment_nothing_is_lost_or_doubled(tmp_path):
+    """Whatever was there once is there for good; run to the end, it holds every entry once and nothing lies about."""
+    folder, rng, before = tmp_path / "index", np.random.default_rng(0), 0
+    command = [sys.executable, "-c", ADDING, folder, Path(__file__).parents[1]]
+    for _ in range(6):
+        process = subprocess.Popen([*map(str, command)])
+        wait = time.monotonic() + 120
+        while not (folder / "manifest.json").exists() or len(open_index(folder)) == before:
+            assert process.poll() is None
+            assert time.monotonic() < wait
+            time.sleep(0.02)
+        time.sleep(float(rng.uniform(0, 0.3)))
+        os.kill(process.pid, signal.SIGKILL)
+        process.wait()
+        index = open_index(folder)
+        assert len(index) > before
+        before = len(index)
+        rows = rng.integers(before, size=20)
+        assert [index.entry(int(row)) for row in rows] == [entries(row, row + 1)[0] for row in rows.tolist()]
+    subprocess.run([*map(str, command)], check=True, timeout=300)
+    index = open_index(folder)
+    assert len(index) == 20000
+    everything = index.nearest(np.zeros((1, SIZE)), 20000).rows[0]
+    assert len(set(everything[everything >= 0])) == (everything >= 0).sum()
+    named = {"manifest.json", f"{index.manifest.centres}.npy"}
+    named |= {f"{part.name}{end}" for part in index.manifest.parts for end in (".betas.npy", ".entries", ".ends.npy")}
+    named |= {f"{lists.name}{end}" for lists in index.manifest.lists for end in (".data", ".sizes.npy")}
+    assert files(folder) == named
+    assert json.loads((folder / "manifest.json").read_text())["taken"] == [["numbers", 20000]]

@@ -1,0 +1,347 @@
+"""The service: the library's own answers, for many at a time, within bounds, whatever it is sent."""
+
+import asyncio
+import io
+import json
+import signal
+import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import omad
+from helpers.command_line import LAPTOP, K, answer, laptop_view, save_png
+from helpers.fuzzing.spoiling import spoil
+from helpers.service import FORM, INTRINSICS, Running, form, served
+from omad.applications.service.batching import Batcher
+from omad.applications.service.bounded import Bounds, Service
+from omad.applications.service.metrics import Metrics
+from omad.applications.service.reply import Reply
+
+for needed in ("fastapi", "uvicorn", "python_multipart"):
+    pytest.importorskip(needed, reason="needs a server: pip install 'omad[serve]'")
+
+MANY = 16
+
+
+@cache
+def depths() -> np.ndarray:
+    """(16, 480, 640) uint16 millimetres: one view moved about, so that answers differ."""
+    depth = np.rint(laptop_view().depth * 1000).astype(np.uint16)
+    return np.stack([np.roll(depth, (3 * (i % 4), -4 * i), (0, 1)) for i in range(MANY)])
+
+
+def png(image: np.ndarray) -> bytes:
+    stored = io.BytesIO()
+    Image.fromarray(image).save(stored, "PNG")
+    return stored.getvalue()
+
+
+def stored(write, *args, **named) -> bytes:
+    file = io.BytesIO()
+    write(file, *args, **named)
+    return file.getvalue()
+
+
+def fields(i: int = 0, **more: bytes) -> dict[str, bytes]:
+    return {"depth": png(depths()[i]), "intrinsics": INTRINSICS, "category": b"laptop", "checks": b"few", **more}
+
+
+@cache
+def alone(i: int, masked: bool = False) -> omad.Estimate:
+    depth = (depths()[i] * 0.001).astype(np.float32)
+    mask = np.arange(640) % 640 < 330 if masked else None
+    mask = None if mask is None else np.broadcast_to(mask, depth.shape)
+    return estimator()(omad.Observation.from_depth(depth, (600, 600, 319.5, 239.5), mask))
+
+
+@cache
+def estimator() -> omad.Estimator:
+    return omad.Estimator.from_pretrained("laptop", "cpu")
+
+
+def assert_same(record: dict, expected: omad.Estimate) -> None:
+    assert [joint["state"] for joint in record["joints"]] == pytest.approx(expected.joint_states, abs=1e-6)
+    np.testing.assert_allclose(record["T_camera_base"], expected.T_camera_base, atol=1e-6)
+    np.testing.assert_allclose(record["keypoints"], expected.keypoints, atol=1e-6)
+
+
+@pytest.fixture(scope="module")
+def temporary(tmp_path_factory) -> Path:
+    return tmp_path_factory.mktemp("temporary")
+
+
+@pytest.fixture(scope="module")
+def service(temporary):
+    with served("--seconds", "60", "--queue", "32", TMPDIR=str(temporary)) as running:
+        yield running
+        healthy(running)
+        assert running.ended() == 0
+        assert not [line for line in running.said if "Traceback" in line or "failed" in line], running.said
+    assert not list(temporary.iterdir())
+
+
+def healthy(running: Running) -> None:
+    found = running.ask("GET", "/health")
+    assert (found.status, found.record["status"], found.record["categories"]) == (200, "ok", ["laptop"])
+
+
+def test_the_answer_is_that_of_the_command(service, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    save_png("a.png", depths()[0] * 0.001)
+    told = answer(capsys, "estimate", "a.png", *LAPTOP, *K)
+    found = service.post(fields(checks=b"all"))
+    assert (found.status, found.headers["content-type"]) == (200, "application/json")
+    assert found.record.keys() == told.keys() - {"input", "output"}
+    assert_same(found.record, alone(0))
+    for key in ("category", "converged", "doubtful", "checks", "warnings", "mirrored"):
+        assert found.record[key] == told[key]
+
+
+def test_images_cameras_and_masks_in_their_formats(service):
+    metres = (depths()[1] * 0.001).astype(np.float32)
+    for depth in (stored(np.save, metres), stored(np.savez_compressed, depth=metres), stored(np.save, depths()[1])):
+        assert_same(service.post(fields(depth=depth)).record, alone(1))
+    K = {"fx": 600, "fy": 600, "cx": 319.5, "cy": 239.5, "width": 640, "height": 480}
+    assert_same(service.post(fields(1, intrinsics=json.dumps(K).encode())).record, alone(1))
+    mask = np.zeros((480, 640), np.uint8)
+    mask[:, :330] = 255
+    for sent in (png(mask), stored(np.save, mask > 0)):
+        assert_same(service.post(fields(0, mask=sent)).record, alone(0, masked=True))
+    assert_same(service.post(fields(depth=png(depths()[1] * 2), depth_scale=b"0.0005")).record, alone(1))
+
+
+def test_the_page_on_request(service):
+    for page in (service.post(fields(), Accept="text/html,*/*"), service.post(fields(format=b"html"))):
+        assert page.status == 200
+        assert page.headers["content-type"].startswith("text/html")
+        assert b"laptop" in page.body
+        assert page.body.strip().endswith(b"</html>")
+
+
+def test_auto_tells_the_category(service):
+    found = service.post({key: value for key, value in fields().items() if key != "category"}).record
+    assert found["category"] == "laptop"
+    assert [each["category"] for each in found["categories"]] == ["laptop"]
+
+
+def test_many_at_a_time_get_each_their_own(service):
+    with ThreadPoolExecutor(MANY) as pool:
+        found = list(pool.map(lambda i: service.post(fields(i % MANY)), range(2 * MANY)))
+    for i, reply in enumerate(found):
+        assert reply.status == 200
+        assert_same(reply.record, alone(i % MANY))
+
+
+WRONG = {
+    "no depth": ({"intrinsics": INTRINSICS}, "depth: is missing"),
+    "no intrinsics": ({"depth": b"x"}, "intrinsics: is missing"),
+    "a path for intrinsics": (fields(intrinsics=b"/etc/passwd"), "intrinsics: holds no intrinsics"),
+    "a path for depth": (fields(depth=b"/etc/passwd"), "depth: not readable as an image"),
+    "another category": (fields(category=b"../laptop"), "category '../laptop': not served"),
+    "an unknown field": (fields(colour=b"1"), "colour: no such field; there are depth, intrinsics"),
+    "no number": (fields(depth_scale=b"many"), "depth_scale 'many': give a number"),
+    "no scale": (fields(depth_scale=b"nan"), "depth scale nan"),
+    "a box of three": (fields(box=b"1,2,3"), "box 1,2,3: expected 4 numbers"),
+    "checks": (fields(checks=b"none"), "checks 'none': give all or few"),
+    "no text": (fields(category=b"\xff\xfe"), "category"),
+    "eight bits": (fields(depth=png(np.zeros((480, 640), np.uint8))), "uint8 of shape (480, 640) is no depth image"),
+    "nothing seen": (fields(depth=png(np.zeros((480, 640), np.uint16))), "no pixel holds a measurement"),
+    "a mask of another size": (fields(mask=png(np.ones((4, 4), np.uint8))), "mask: shape (4, 4) differs"),
+    "objects": (fields(depth=stored(np.save, np.array([{}]), allow_pickle=True)), "is not of numbers"),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_what_is_wrong_is_said_in_one_line(service, name):
+    sent, told = WRONG[name]
+    reply = service.post(sent)
+    assert reply.status == 400
+    assert told in reply.record["error"]
+    assert len(reply.record["error"].splitlines()) == 1
+
+
+@pytest.mark.slow
+def test_bombs_are_refused_before_they_are_unpacked(service):
+    head = b"{'descr': '<f8', 'fortran_order': False, 'shape': (100000, 100000), }".ljust(117) + b"\n"
+    claims = b"\x93NUMPY\x01\x00" + len(head).to_bytes(2, "little") + head
+    sparse = stored(np.savez_compressed, depth=np.zeros((9000, 9000)))
+    wide = io.BytesIO()
+    Image.new("I;16", (9000, 9000)).save(wide, "PNG")
+    for bomb in (claims, sparse, wide.getvalue()):
+        assert len(bomb) < 1_000_000
+        began = time.monotonic()
+        for name in ("depth", "mask"):
+            assert service.post(fields(**{name: bomb})).status == 400
+        assert time.monotonic() - began < 30
+    healthy(service)
+
+
+@pytest.mark.slow
+def test_spoilt_files_and_bodies_harm_nobody(service):
+    rng = np.random.default_rng(0)
+    good = fields(mask=png((depths()[0] > 0).astype(np.uint8) * 255))
+    for i in range(40):
+        name = ("depth", "mask", "intrinsics")[i % 3]
+        sent = form({**good, name: spoil(good[name], "x.txt" if name == "intrinsics" else "x.png", rng)})
+        if i % 4 == 0:
+            sent = sent[: int(rng.integers(len(sent)))]
+        reply = service.ask("POST", "/estimate", sent, {"Content-Type": FORM})
+        assert reply.status in (200, 400), reply.body
+        assert reply.status == 200 or len(reply.record["error"].splitlines()) == 1
+    assert_same(service.post(fields()).record, alone(0))
+
+
+def test_what_is_no_form_is_refused(service):
+    assert service.ask("POST", "/estimate", b"{}", {"Content-Type": "application/json"}).status == 400
+    for kind in ("multipart/form-data", "multipart/form-data; boundary=", f"{FORM}; charset=x\xe9"):
+        assert service.ask("POST", "/estimate", form(fields()), {"Content-Type": kind}).status in (200, 400)
+    twice = form(fields())[: -len("--a-boundary--\r\n")] + form({"category": b"laptop"})
+    assert "twice" in service.ask("POST", "/estimate", twice, {"Content-Type": FORM}).record["error"]
+    crowd = form({f"f{i}": b"" for i in range(2000)})
+    assert service.ask("POST", "/estimate", crowd, {"Content-Type": FORM}).status == 400
+    assert service.ask("GET", "/estimate").status == 405
+    assert service.ask("GET", "/../../etc/passwd").status == 404
+    healthy(service)
+
+
+def test_what_is_no_request_is_refused(service):
+    for sent in (
+        b"\x16\x03\x01\x02\x00\x01\x00",
+        b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\nX: " + b"a" * 1_000_000,
+        b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\n" + b"X: a\r\n" * 100_000,
+        b"POST /estimate HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: -1\r\n\r\n",
+        b"POST /estimate HTTP/1.1\r\nHost: 127.0.0.1\r\nTransfer-Encoding: chunked\r\n\r\nzz\r\n",
+    ):
+        try:
+            found = service.raw(sent)
+        except ConnectionError:  # it was cut off while it was still sent
+            continue
+        assert found[:12] in (b"HTTP/1.1 400", b"HTTP/1.1 431", b""), found[:80]
+    healthy(service)
+
+
+def test_only_its_own_names_and_pages_may_ask(service):
+    own = f"127.0.0.1:{service.port}"
+    assert service.post(fields(), Origin=f"http://{own}").status == 200
+    assert service.post(fields(), Origin="http://evil.example").status == 403
+    assert service.post(fields(), Host="evil.example", Origin="http://evil.example").status == 403
+    assert service.ask("GET", "/metrics", headers={"Host": "evil.example"}).status == 403
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="/proc tells at which address a port listens")
+def test_only_this_machine_is_listened_to(service):
+    listening = [line.split()[1:4:2] for line in Path("/proc/net/tcp").read_text().splitlines()[1:]]
+    assert [address for address, state in listening if state == "0A" and address.endswith(f":{service.port:04X}")] == [
+        f"0100007F:{service.port:04X}"
+    ]
+
+
+def test_metrics_count_what_was_answered(service):
+    def total(text: str, status: int) -> int:
+        [line] = [line for line in text.splitlines() if line.startswith(f'omad_requests_total{{status="{status}"}}')]
+        return int(line.split()[1])
+
+    service.post(fields())
+    service.post({})
+    before = service.ask("GET", "/metrics").body.decode()
+    service.post(fields())
+    service.post({})
+    after = service.ask("GET", "/metrics").body.decode()
+    assert total(after, 200) == total(before, 200) + 1
+    assert total(after, 400) == total(before, 400) + 1
+
+
+def test_a_histogram_is_cumulative():
+    metrics = Metrics()
+    for seconds in (0.005, 0.3, 0.4, 99.0):
+        metrics.add(200, seconds)
+    lines = dict(line.rsplit(" ", 1) for line in metrics.text(inside=3).splitlines() if line[0] != "#")
+    assert lines['omad_request_seconds_bucket{le="0.2"}'] == "1"
+    assert lines['omad_request_seconds_bucket{le="0.5"}'] == "3"
+    assert lines['omad_request_seconds_bucket{le="+Inf"}'] == lines["omad_request_seconds_count"] == "4"
+    assert lines["omad_inside"] == "3"
+
+
+@pytest.mark.slow
+def test_bounds_hold():
+    """Too large, too many, too slow."""
+    with served("--seconds", "4", "--queue", "3", "--body-bytes", "2000000", "--workers", "1") as small:
+        large = form(fields(depth=b"x" * 2_500_000))
+        assert small.ask("POST", "/estimate", large, {"Content-Type": FORM}).status == 413
+        lines = ["POST /estimate HTTP/1.1", "Host: 127.0.0.1", f"Content-Type: {FORM}", "Transfer-Encoding: chunked"]
+        chunks = "\r\n".join([*lines, "", ""])
+        endless = (b"%x\r\n" % 2_500_000) + large[:2_500_000] + b"\r\n"
+        assert small.raw(chunks.encode() + endless).startswith(b"HTTP/1.1 413")
+        slow = [small.begun() for _ in range(3)]
+        time.sleep(0.3)
+        full = small.post(fields())
+        assert (full.status, full.headers["retry-after"]) == (503, "1")
+        for each in slow:
+            assert each.recv(12) in (b"HTTP/1.1 408", b"")
+            each.close()
+        trickle = small.raw(b"GET /health HTTP/1.1\r\nHost:")
+        assert trickle == b""
+
+
+@pytest.mark.slow
+def test_what_was_begun_is_answered_before_the_end():
+    with served("--seconds", "60", "--workers", "1") as running:
+        with ThreadPoolExecutor(3) as pool:
+            asked = [pool.submit(running.post, fields(i, format=b"html")) for i in range(3)]
+            while b"omad_requests_inside 3" not in running.ask("GET", "/metrics").body and not asked[0].done():
+                pass
+            running.process.send_signal(signal.SIGTERM)
+            assert [each.result().status for each in asked] == [200] * 3
+        assert running.process.wait(60) == 0
+        assert not [line for line in running.said if "Traceback" in line], running.said
+
+
+def test_who_is_not_answered_in_time_is_told_so_and_others_go_on():
+    """With a stand-in for the estimator that takes as long as it is told to."""
+
+    class Answers:
+        categories = ("laptop",)
+        batches: list[int] = []  # noqa: RUF012
+
+        def check(self, asked):
+            pass
+
+        def __call__(self, batch):
+            self.batches.append(len(batch))
+            time.sleep(max(float(asked.depth) for asked in batch))
+            return [Reply.of(200, {"depth": asked.depth.decode()}) for asked in batch]
+
+    class Request:
+        def __init__(self, seconds: str) -> None:
+            self.body = form({"depth": seconds.encode(), "intrinsics": b"1"})
+            self.headers = {"content-type": FORM, "Content-Type": FORM}
+
+        async def stream(self):
+            yield self.body
+
+    async def drill():
+        answers = Answers()
+        batcher = Batcher(answers, workers=1, batch=8)
+        service = Service(answers, batcher, Bounds(queue=8, seconds=0.5))
+        late = asyncio.create_task(service.estimate(Request("1.0")))
+        await asyncio.sleep(0.2)
+        waiting = [asyncio.create_task(service.estimate(Request("0.0"))) for _ in range(7)]
+        await asyncio.sleep(0)
+        turned_away = await service.estimate(Request("0.0"))
+        assert turned_away.status == 503
+        assert [(await each).status for each in (late, *waiting)] == [504] * 8
+        assert (service.inside, batcher.waiting) == (0, 0)
+        await asyncio.sleep(0.6)
+        again = [asyncio.create_task(service.estimate(Request("0.1"))) for _ in range(5)]
+        assert [(await each).status for each in again] == [200] * 5
+        batcher.close()
+        return answers.batches
+
+    # those that were told so are not worked on; of five the first goes alone, the others wait and go together
+    assert asyncio.run(drill()) == [1, 1, 4]
