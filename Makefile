@@ -2,8 +2,8 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-# Two processes, each with whole files, whose tests share what they load.
-SIDE_BY_SIDE := -n 2 --dist loadfile
+# Two processes of one thread, each with whole files, whose tests share what they load.
+SIDE_BY_SIDE := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile
 
 .PHONY: demo test test-quick check docs
 
@@ -11,10 +11,10 @@ demo: $(VENV)/.installed
 	$(BIN)/omad demo
 
 test: $(VENV)/.installed-dev
-	$(BIN)/python -m pytest $(SIDE_BY_SIDE)
+	$(SIDE_BY_SIDE)
 
 test-quick: $(VENV)/.installed-dev
-	$(BIN)/python -m pytest $(SIDE_BY_SIDE) -m "not slow"
+	$(SIDE_BY_SIDE) -m "not slow"
 
 check: $(VENV)/.installed-dev
 	$(BIN)/ruff check .

@@ -4,7 +4,8 @@
 
 Scenes are of three to six objects on a table (laptops, eyeglasses) or a floor (dishwashers, drawer cabinets), boxes and
 cans among them, with camera noise: unseen procedural objects at their real sizes. In ``shrunk`` scenes dishwashers and
-cabinets are shrunk to 0.45 m, a size that no network was trained for. An object is found where an answer of its
+cabinets are shrunk to 0.45 m, a size that no network was trained for. ``small`` and ``large`` scenes are of all
+categories with weights that stand by themselves. An object is found where an answer of its
 category shares half of its pixels with it; any other answer that names a category is false. ``--fit`` works on objects
 of the training split instead, and writes the weights that detection uses.
 """
@@ -12,7 +13,7 @@ of the training split instead, and writes the weights that detection uses.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -25,18 +26,26 @@ from omad.applications.detection.detector import Detection, Detector
 from omad.applications.detection.judgement import Judgement
 from omad.data.rendering.depth_noise import ON
 from omad.data.rendering.tabletop import Placed, Tabletop, draw_tabletop
-from omad.estimation.estimator import Estimator
+from omad.estimation.categories.late import LateEstimator
 from omad.model.checkpoint import shipped_categories
+from omad.objects.category_file import get_category
 from omad.sensing.observation import Observation
 
+LYING = ("scissors", "pliers")
+"""What lies flat is no thing that stands before a table."""
+SIZES = {name: get_category(name).metres_per_unit for name in shipped_categories() if name not in LYING}
+LARGE = 0.35
+"""Metres a unit."""
 KINDS = {
     "table": (("laptop", "eyeglasses"), np.inf),
     "floor": (("dishwasher", "drawer"), np.inf),
     "shrunk": (("laptop", "eyeglasses", "dishwasher", "drawer"), 0.45),
+    "small": (tuple(name for name, size in SIZES.items() if size < LARGE), np.inf),
+    "large": (tuple(name for name, size in SIZES.items() if size >= LARGE), np.inf),
 }
 """Categories of the scenes, and the largest diagonal in metres."""
 OVERLAP = 0.5
-NUMBERS = 8
+NUMBERS = 9
 """Of the evidence."""
 RIDGE, ALIKE = 1e-3, 3e-3
 """Keep weights finite, and those of the categories near to each other."""
@@ -50,7 +59,8 @@ class Config:
     """Of each kind."""
     fit: bool = False
     seed: int = 0
-    kinds: tuple[str, ...] = tuple(KINDS)
+    kinds: tuple[str, ...] = ("table", "floor", "shrunk")
+    """Of scenes to measure on."""
     weights: Path | None = None
     """Folder with a sub-folder a category in place of the shipped weights."""
 
@@ -93,19 +103,31 @@ def measure(config: Config, detector: Detector) -> None:
         print(f"| {kind} | {there} | {share} | {confused} | {np.median(seconds):.2f} |", flush=True)
 
 
+@dataclass(frozen=True)
+class Example:
+    """What speaks against each category that was fitted to a thing, and which it is of."""
+
+    evidence: Mapping[str, np.ndarray]
+    truth: str | None
+
+
 def fit(config: Config, detector: Detector) -> Judgement:
     """Weights under which the true categories, or none, are likeliest."""
-    names = [estimator.category.name for estimator in detector.estimators]
-    evidence, odd, truth = [], [], []
-    for number in range(2):  # at real sizes
+    found = []
+    for number in (3, 4):  # small and large
         for scene in scenes(config, number, "train"):
             for one in detector(Observation.from_depth(scene.depth, scene.camera)):
                 over = [placed.category for placed in scene.objects if shared(one, placed, scene) > OVERLAP]
-                truth.append(names.index(over[0]) if over and over[0] else len(names))
-                evidence.append([one.evidence.get(name, np.zeros(NUMBERS)) for name in names])
-                odd.append([name not in one.evidence for name in names])
-    values, left_out, which = np.array(evidence), np.array(odd), np.array(truth)
-    spread = values.std((0, 1))
+                found.append(Example(one.evidence, over[0] if over else None))
+    return fitted([one.category.name for one in detector.estimators if one.category.name not in LYING], found)
+
+
+def fitted(names: Sequence[str], found: Sequence[Example]) -> Judgement:
+    """The same, of things already looked at."""
+    values = np.array([[one.evidence.get(name, np.zeros(NUMBERS)) for name in names] for one in found])
+    left_out = np.array([[name not in one.evidence for name in names] for one in found])
+    which = np.array([names.index(one.truth) if one.truth in one.evidence else len(names) for one in found])
+    spread = values[~left_out].std(0)
     shape = len(names), NUMBERS
 
     def loss(free: np.ndarray) -> float:
@@ -114,19 +136,20 @@ def fit(config: Config, detector: Detector) -> Judgement:
         scores = np.concatenate([scores, np.zeros((len(scores), 1))], 1)
         right = scores[np.arange(len(which)), which]
         usual = weights.mean(0)
-        ridge = RIDGE * usual @ usual + ALIKE * np.square(weights - usual).sum()
+        odd = np.square(weights - usual).sum() + np.square(offsets - offsets.mean()).sum()
+        ridge = RIDGE * usual @ usual + ALIKE * odd
         return float((np.logaddexp.reduce(scores, 1) - right).mean() + ridge)
 
     bounds = [(0, None)] * (len(names) * NUMBERS) + [(None, None)] * len(names)
-    found = minimize(loss, np.ones(len(bounds)), bounds=bounds).x
-    weights = (found[: -len(names)].reshape(shape) / spread).round(3).tolist()
-    offsets = found[-len(names) :].round(3).tolist()
+    best = minimize(loss, np.ones(len(bounds)), bounds=bounds).x
+    weights = (best[: -len(names)].reshape(shape) / spread).round(3).tolist()
+    offsets = best[-len(names) :].round(3).tolist()
     return Judgement(dict(zip(names, weights, strict=True)), dict(zip(names, offsets, strict=True)))
 
 
 def main(config: Config) -> None:
     folders = [config.weights / name if config.weights else name for name in shipped_categories()]
-    detector = Detector([Estimator.from_pretrained(folder, "cpu") for folder in folders])
+    detector = Detector([LateEstimator.of(folder) for folder in folders])
     if config.fit:
         judgement = fit(config, detector)
         judgement.save()

@@ -15,7 +15,7 @@ from pathlib import Path
 from omad.applications.cluster.bulk import BulkWork
 from omad.applications.cluster.render import RenderWork
 from omad.applications.cluster.shards import Plan, Work
-from omad.applications.store import Store
+from omad.data.shards.store import Store
 from omad.evaluation.evaluate_shards import PoseWork
 from omad.sensing.input_options import FrameOptions, InputOptions
 

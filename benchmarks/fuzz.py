@@ -23,7 +23,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from helpers.fuzzing import Call, Command, Target, targets
 
 SECONDS, BYTES = 20, 2_000_000_000
-WAITING = 60
+WAITING = 300
 """Seconds by the clock, of a machine that has other work to do: for what waits, and computes nothing."""
 
 

@@ -147,7 +147,7 @@ def measured(config: Config, name: str, label: str, source: str, noise: bool) ->
     file = config.cache / f"{name}-{label.replace(' ', '-')}-{'noise' if noise else 'clean'}-{config.views}.json"
     if not file.is_file():
         print(name, label, file=sys.stderr)
-        data = Views(source=source, objects=50, views=config.views, depth_noise=noise)
+        data = Views(source=source, objects=50, views=config.views, depth_noise="on" if noise else "off")
         try:
             write_json(file, EvalPose(category=name, data=data).run().record)
         except InputError as error:

@@ -16,8 +16,9 @@ from omad.applications.deployment import program as program_file
 from omad.common.errors import InputError
 from omad.data.procedural import generate
 from omad.data.rendering.standard_views import standard_view
+from omad.estimation.part_labels import OUTSIDE, LabelledPoints
 from omad.model.network_input import first_frame
-from omad.model.point_choice import CELLS_SEEN, choose_points
+from omad.sensing.point_choice import CELLS_SEEN, choose_points
 
 RUNTIME = importlib.util.find_spec("onnxruntime") is not None
 MISSING = not RUNTIME or any(importlib.util.find_spec(name) is None for name in ("onnx", "onnxscript"))
@@ -46,6 +47,20 @@ def test_points_are_chosen_as_the_estimator_chooses_them():
 
 
 @needs
+def test_what_was_said_of_a_point_first_counts():
+    """Of few points each is shown many times, and the network may say something else of it each time."""
+    rng = np.random.default_rng(0)
+    cloud = (rng.standard_normal((300, 3)) * [0.2, 0.1, 0.1] + [0, 0, 0.8]).astype(np.float32)
+    chosen = choose_points(cloud, 512, 4, 3).ravel()
+    logits = rng.standard_normal((len(chosen), 3)).astype(np.float32)
+    program = object.__new__(program_file.Program)
+    program.numbers = {"points": 512, "samples": [1, 3], "seed": 3, "cells": CELLS_SEEN}
+    expected = LabelledPoints(cloud, chosen, logits, 2).labels != OUTSIDE
+    assert len(np.unique(chosen)) < len(cloud)  # some were not shown at all
+    np.testing.assert_array_equal(program._on_object(cloud, logits), np.flatnonzero(expected))
+
+
+@needs
 def test_the_first_frame_is_the_estimators():
     import torch
 
@@ -58,14 +73,16 @@ def test_the_first_frame_is_the_estimators():
         )
 
 
-@pytest.fixture(scope="module")
-def deployed(tmp_path_factory) -> Path:
+def deployed_in(folder: Path, category: str) -> Path:
     from omad.applications.deployment.export import deploy
 
-    estimator = omad.Estimator.from_pretrained("laptop", "cpu")
-    folder = tmp_path_factory.mktemp("deployed")
-    deploy(estimator.net, folder, estimator.config)
+    deploy(omad.Estimator.from_pretrained(category, "cpu"), folder)
     return folder
+
+
+@pytest.fixture(scope="module")
+def deployed(tmp_path_factory) -> Path:
+    return deployed_in(tmp_path_factory.mktemp("deployed"), "laptop")
 
 
 def views() -> list[omad.Observation]:
@@ -96,15 +113,15 @@ def views() -> list[omad.Observation]:
 @pytest.mark.slow
 def test_it_answers_as_the_estimator_does(deployed):
     """To a hundredth of a millimetre and a thousandth of a degree, also where points are left out and where it looks
-    again; the graph adds in another order. Of one view in thirteen rounding may decide something: which points are left
-    out, say."""
+    again; the graph adds in another order. Of one view in thirteen rounding may decide something: whether a point is
+    left out, say, with which all others are chosen anew; such answers differ by less than their own deviations."""
     estimator, program = omad.Estimator.from_pretrained("laptop", "cpu"), program_file.Program(deployed)
     crowded = unsure = decided = 0
     for view in views():
         truth, found = estimator(view), program(view.points)
         if abs(found.joint_states - truth.joint_states).max() > 2e-5:
             decided += 1
-            np.testing.assert_allclose(found.joint_states, truth.joint_states, atol=0.03)
+            assert abs(found.joint_states - truth.joint_states).max() < 2 * truth.joints[0].state_std
             continue
         np.testing.assert_allclose(found.joint_states, truth.joint_states, atol=2e-5)
         np.testing.assert_allclose(found.keypoints, truth.keypoints, atol=1e-5)
@@ -120,6 +137,29 @@ def test_it_answers_as_the_estimator_does(deployed):
     assert crowded >= 3  # of the ways that views can go, all were gone
     assert unsure >= 1
     assert decided <= 1
+
+
+@needs
+@pytest.mark.slow
+@pytest.mark.parametrize("other", [False, True])
+def test_objects_of_either_hand_are_answered_as_the_estimator_does(other, tmp_path):
+    """Doors at the left and at the right: seen in a mirror, too, and given back as they are."""
+    estimator = omad.Estimator.from_pretrained("microwave", "cpu")
+    program, category = program_file.Program(deployed_in(tmp_path, "microwave")), estimator.category
+    for index in range(3):
+        model = generate(category, index, "test")
+        view = standard_view(model.mirrored() if other else model, category, (0, index, 0))
+        seen = omad.Observation.from_depth(view.depth, view.camera)
+        truth, found = estimator(seen), program(seen.points)
+        assert found.of_other_hand == truth.of_other_hand == other
+        np.testing.assert_allclose(found.joint_states, truth.joint_states, atol=2e-5)
+        np.testing.assert_allclose(found.joint_states, view.states, atol=np.radians(10))
+        np.testing.assert_allclose(found.keypoints, truth.keypoints, atol=1e-5)
+        np.testing.assert_allclose(found.T_camera_part, truth.T_camera_part, atol=2e-5)
+        np.testing.assert_allclose(found.axes, [joint.axis for joint in truth.joints], atol=2e-5)
+        np.testing.assert_allclose(found.pivots, [joint.pivot for joint in truth.joints], atol=2e-5)
+        np.testing.assert_allclose(found.beta, truth.beta, atol=5e-4)
+        np.testing.assert_allclose(found.state_std**2, truth.covariance.diagonal()[6:7], rtol=1e-3)
 
 
 @needs

@@ -102,10 +102,10 @@ def test_an_answer_without_numbers_is_no_candidate() -> None:
 
 def test_probabilities_are_a_softmax_with_none() -> None:
     rng = np.random.default_rng(0)
-    weights, evidence = rng.random((2, 8)), rng.random((2, 8))
+    weights, evidence = rng.random((2, 9)), rng.random((2, 9))
     judgement = Judgement({"a": weights[0].tolist(), "c": weights[1].tolist()}, {"a": 1.0, "c": 2.0})
     found = judgement.probabilities({"a": evidence[0], "own": evidence[1]})
     expected = softmax([1 - weights[0] @ evidence[0], 1.5 - weights.mean(0) @ evidence[1], 0.0])
     assert [found["a"], found["own"], found[None]] == pytest.approx(expected.tolist())
     assert list(found.values()) == sorted(found.values(), reverse=True)
-    assert judgement.probabilities({"a": np.full(8, np.nan)}) == {None: 1.0, "a": 0.0}
+    assert judgement.probabilities({"a": np.full(9, np.nan)}) == {None: 1.0, "a": 0.0}

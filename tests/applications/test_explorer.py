@@ -23,6 +23,7 @@ from omad.applications.explorer.places import Places
 from omad.cli.explore import Explore, free_port
 from omad.common.errors import InputError
 from omad.estimation.estimator import Estimator
+from omad.geometry.transforms import MIRROR_X
 
 NO_VIEWER = pytest.mark.skipif(
     importlib.util.find_spec("viser") is None, reason="needs viser: pip install 'omad[explore]'"
@@ -54,6 +55,22 @@ def test_sliders_at_the_estimate_draw_the_estimate(name):
             arm = T[:3, :3] @ tail + T[:3, 3] - joint.pivot
             assert np.linalg.norm(np.cross(arm, joint.axis)) < 1e-5
     assert len(fit.cloud) == len(fit.labels)
+
+
+def test_an_object_of_the_other_hand_is_drawn_as_it_is():
+    """A laptop's mirror image is found where that of the laptop is."""
+    seen = estimator("laptop")(laptop_view().observation())
+    plain, image = (space("laptop").estimated(estimate) for estimate in (seen, seen.in_mirror()))
+    assert (plain.of_other_hand, image.of_other_hand) == (False, True)
+    drawn, estimate = space("laptop").draw(image), seen.in_mirror()
+    T = estimate.T_camera_base
+    assert drawn.keypoints @ T[:3, :3].T + T[:3, 3] == pytest.approx(estimate.keypoints, abs=1e-5)
+    assert T @ drawn.T_base_part == pytest.approx(estimate.T_camera_part, abs=1e-5)
+    for mesh, other in zip(drawn.parts, space("laptop").draw(plain).parts, strict=True):
+        assert mesh.vertices == pytest.approx(other.vertices * MIRROR_X)
+        assert np.linalg.det(mesh.triangles).sum() == pytest.approx(np.linalg.det(other.triangles).sum(), abs=1e-9)
+    along = T[:3, :3] @ np.subtract(*drawn.arrows[0][::-1])
+    assert along / np.linalg.norm(along) == pytest.approx(estimate.joints[0].axis, abs=1e-5)
 
 
 @pytest.mark.parametrize("name", SHIPPED)

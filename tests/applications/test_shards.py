@@ -15,8 +15,9 @@ from helpers.shards import Squares
 from omad.applications.cluster import engines
 from omad.applications.cluster.engines import in_processes
 from omad.applications.cluster.shards import Plan, Report, run_shards
-from omad.applications.store import Store
 from omad.common.errors import InputError, WorkError
+from omad.data.shards.parquet import part_name
+from omad.data.shards.store import Store
 
 pytest.importorskip("pyarrow", reason="shards are Parquet files: pip install 'omad[parquet]'")
 
@@ -41,7 +42,7 @@ def assert_all_once(plan: Plan, report: Report) -> None:
 def test_what_is_there_is_not_made_again(tmp_path):
     whole = plan(tmp_path / "out", Squares(tmp_path))
     assert_all_once(whole, run_shards(whole, {"a": 1}, here))
-    (tmp_path / "out" / whole.name(2)).unlink()
+    (tmp_path / "out" / part_name(2)).unlink()
     again = run_shards(whole, {"a": 1}, here)
     assert_all_once(whole, again)
     assert again.earlier == TOTAL - SIZE
@@ -81,7 +82,7 @@ def test_at_an_address(tmp_path):
     whole = plan("memory://bucket/deep/out", Squares(tmp_path))
     assert_all_once(whole, run_shards(whole, {}, here))
     assert run_shards(whole, {}, here).earlier == TOTAL
-    assert whole.store.names() == {"run.json", *map(whole.name, range(6))}
+    assert whole.store.names() == {"run.json", *map(part_name, range(6))}
     assert plan(Path("memory://bucket/deep/out"), Squares(tmp_path)).store == whole.store
     with pytest.raises(InputError, match="cannot be reached"):
         Store.of("nosuch://bucket")
@@ -158,6 +159,30 @@ def test_what_is_rendered_in_shards_is_estimated_and_measured(in_a_folder_of_its
     assert "--output: is missing" in refused(capsys, "eval", "pose", *objects, "--cluster")
 
 
+@pytest.mark.slow
+def test_accuracy_is_measured_on_what_was_rendered(in_a_folder_of_its_own, without_ray, capsys):
+    """With and without --cluster, and as on the same views of a folder."""
+    objects = [*LAPTOP, "--objects", "2", "--views", "10"]
+    answer(capsys, "render", *objects, "--cluster", "--shard", "4", "--output", "views", "--workers", "1")
+    answer(capsys, "render", *objects, "--output", "folder", "--workers", "1")
+    folder = answer(capsys, "eval", "pose", *LAPTOP, "--source", "folder")
+    shards = answer(capsys, "eval", "pose", *LAPTOP, "--source", "views")
+    cluster = ["--cluster", "--shard", "6", "--output", "errors", "--workers", "1"]
+    sharded = answer(capsys, "eval", "pose", *LAPTOP, "--source", "views", *cluster)
+    assert (folder["views"], shards["views"], sharded["views"]) == (10, 10, 10)
+    for key in ("refined", "initial", "by_object"):
+        assert shards[key] == folder[key]
+    errors = [told["refined"]["joint_state_error"] for told in (sharded, shards)]
+    for found, other in zip(*errors, strict=True):
+        assert found == pytest.approx(other, abs=1e-6)
+    line = refused(capsys, "eval", "pose", *LAPTOP, "--source", "errors")
+    assert "holds no views with their truth" in line
+    line = refused(capsys, "eval", "pose", "--category", "scissors", "--source", "views")
+    assert "views of laptop, not of scissors" in line
+    line = refused(capsys, "eval", "pose", *LAPTOP, "--source", "views", "--depth-noise", "on")
+    assert "is rendered already" in line
+
+
 def _numbers(value):
     if isinstance(value, dict):
         value = list(value.values())
@@ -186,6 +211,18 @@ def test_a_killed_run_in_shards_goes_on_where_it_was(in_a_folder_of_its_own, wit
     answer(capsys, "bulk", "stack.npy", *LAPTOP, *K, "--batch", "2", "--output", "whole.jsonl")
     assert_same_rows("out", "whole.jsonl")
     assert "other inputs or settings" in refused(capsys, *arguments, "--output", "out", "--depth-scale", "2")
+
+
+def test_without_a_cluster_to_reach_the_run_ends_in_one_line(tmp_path, monkeypatch):
+    ray = pytest.importorskip("ray", reason="needs Ray: pip install 'omad[cluster]'")
+    pytest.importorskip("ray.data")
+
+    def init(**options):
+        raise ConnectionError("nobody\nanswers")
+
+    monkeypatch.setattr(ray, "init", init)
+    with pytest.raises(WorkError, match=r"no cluster can be reached or started \(nobody answers\); see RAY_ADDRESS"):
+        run_shards(plan(tmp_path / "out", Squares(tmp_path)), {}, engines.on_cluster)
 
 
 @pytest.mark.slow

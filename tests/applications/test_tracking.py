@@ -13,6 +13,7 @@ import omad
 from omad.applications.tracking.motion import MotionConfig, MotionFilter, Placement
 from omad.applications.tracking.shape_belief import ShapeBelief, ShapeConfig
 from omad.cli.main import run
+from omad.cli.track import track_text
 from omad.common.errors import InputError
 from omad.data.procedural import generate
 from omad.objects.category_file import get_category
@@ -123,3 +124,17 @@ def test_tracker_wants_rising_times():
     assert tracker(None, 0.0).status == "lost"
     with pytest.raises(InputError, match="frame"):
         tracker(None, 0.0)
+
+
+def test_a_person_reads_degrees_and_centimetres():
+    states = {"last_state": 0.5, "lowest_state": 0.0, "highest_state": None}
+    joints = [{"name": "hinge", "type": "revolute", **states}, {"name": "slide", "type": "prismatic", **states}]
+    answer = {"joint_states": joints, "status": {"tracking": 7, "coasting": 0, "lost": 1}, "frames": 8}
+    answer |= {"output": "out", "seconds_per_frame": 0.012, "refused": []}
+    told = [line.split() for line in track_text(answer).splitlines()]
+    assert ["hinge", "28.6°", "0.0°", "-"] in told
+    assert ["slide", "50.0", "cm", "0.0", "cm", "-"] in told
+    assert ["frames:", "8", "(7", "tracking,", "1", "lost,", "12", "ms", "each)"] in told
+    error = {"mean": 0.1, "p95": 0.2, "jitter": 0.1}
+    longer = track_text(answer | {"errors": 2 * [{"tracked": error, "single": error | {"mean": 0.2}}]})
+    assert ["hinge", "28.6°", "0.0°", "-", "5.7°", "11.5°"] in [line.split() for line in longer.splitlines()]

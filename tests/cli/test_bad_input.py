@@ -11,6 +11,7 @@ from PIL import Image
 
 from helpers.command_line import LAPTOP, K, answer, cloud, laptop_view, refused, save_png
 from omad.cli.main import run
+from omad.common.incoming import CHECKSUM
 from omad.data.procedural import generate
 from omad.model.checkpoint import find_weights
 from omad.objects.category_file import get_category
@@ -133,6 +134,13 @@ def test_no_input_at_all(capsys):
 
 
 @pytest.mark.slow
+def test_images_in_sub_folders_are_told_of(capsys, tmp_path):
+    (tmp_path / "views/one").mkdir(parents=True)
+    save_png(tmp_path / "views/one/0.depth.png")
+    line = refused(capsys, "estimate", str(tmp_path / "views"), *LAPTOP)
+    assert f"lie in its sub-folders; give {tmp_path / 'views'}/*" in line
+
+
 def test_a_bad_one_among_many_is_named_and_the_others_are_done(capsys):
     save_png("frames/a.png")
     save_png("frames/b.png", 0 * laptop_view().depth)
@@ -189,6 +197,7 @@ def test_weights_of_another_category(command, capsys):
 def change_config(change: Callable[[dict], None]) -> Callable[[Path], None]:
     def apply(folder: Path) -> None:
         config = json.loads((folder / "config.json").read_text())
+        del config[CHECKSUM]
         change(config)
         (folder / "config.json").write_text(json.dumps(config))
 
@@ -221,6 +230,9 @@ DAMAGES: dict[str, Callable[[Path], object]] = {
     "senseless sizes": change_config(lambda config: config["category"].update(basis_size=-1)),
     "senseless unit": change_config(lambda config: config["category"].update(metres_per_unit=0)),
     "unknown fields": change_config(lambda config: config["backbone"].update(nonsense=1)),
+    "one more number": lambda folder: (folder / "config.json").write_text(
+        (folder / "config.json").read_text().replace('"points": 512', '"points": 513')
+    ),
     "another backbone": change_config(lambda config: config["backbone"].update(global_channels=[8, 8])),
     "cut": keep_bytes(100_000),
     "empty": keep_bytes(0),

@@ -45,8 +45,11 @@ def test_a_view_finds_its_object_among_models(capsys):
     assert found["ranking"][0]["distance"] < found["ranking"][1]["distance"] < 0.1
     assert found["unit"] == "m"
     with Image.open(found["ranking"][0]["thumbnail"]) as thumbnail:
-        assert max(thumbnail.size) <= 96
-    assert Path(found["picture"]).stat().st_size > 1000
+        assert thumbnail.size == (224, 224)
+        seen = np.asarray(thumbnail.convert("L")) < 250
+        assert max(seen.any(0).mean(), seen.any(1).mean()) > 0.7  # the object fills it
+    with Image.open(found["picture"]) as picture:
+        assert (np.asarray(picture.convert("L")) < 40).mean() < 0.1  # colours are those of the thumbnails, on white
 
     np.save("cloud.npy", cloud())
     again = answer(

@@ -1,15 +1,22 @@
 """``omad train all``: one command from nothing to measured weights, which goes on where it was."""
 
+import importlib.util
+import json
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
+import torch
 
 from helpers.command_line import answer, refused
 from omad.cli.main import run
+from omad.cli.training.networks import SeveralProcesses
 from omad.evaluation.confidence import fitting
 from omad.model.checkpoint import load, training_record
 from omad.model.omadnet import OmadNet
 from omad.training import loop
+from omad.training.processes import Processes
 
 TINY = ["--objects", "2", "--views", "2", "--steps", "2", "--batch", "2", "--device", "cpu", "--output", "runs"]
 
@@ -41,6 +48,48 @@ def test_all_steps_of_two_categories_and_what_is_done_stays(capsys, monkeypatch)
         assert one["refined"] == other["refined"]
     assert run(command[:-1] + ["runs"]) == 0
     assert "within 5° 5 %" in capsys.readouterr().out
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(importlib.util.find_spec("lightning_fabric") is None, reason="needs Fabric (omad[cluster])")
+def test_two_processes_share_the_networks_training_and_one_does_the_rest(tmp_path):
+    """As a script of its own, which the second process runs, too."""
+    script = tmp_path / "small.py"
+    script.write_text(
+        "from omad.evaluation.confidence import fitting\nfrom omad.__main__ import main\n"
+        "fitting.FEWEST = 5\nif __name__ == '__main__':\n    main()\n"
+    )
+    command = [
+        "train",
+        "all",
+        "--categories",
+        "laptop",
+        "scissors",
+        *TINY,
+        "--devices",
+        "2",
+        "--accumulate",
+        "1",
+        "--json",
+    ]
+    done = subprocess.run([sys.executable, str(script), *command], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)  # one object, whatever number of processes
+    assert [result["category"] for result in found["results"]] == ["laptop", "scissors"]
+    for name in ("laptop", "scissors"):
+        assert done.stderr.count(f"{name}: TrainNet") == 2
+        assert done.stderr.count(f"{name}: TrainConfidence") == 1
+        folder = Path("runs") / name
+        for file in ("config.json", "confidence.json", "surfaces.npz", "results.json"):
+            assert (folder / file).is_file(), file
+        for stage, others in ((folder / "first", 1), (folder, 1), (folder / "prior", 0)):
+            assert len(torch.load(stage / "state.pt", weights_only=True)["generators"]) == others
+
+
+def test_a_batch_that_cannot_be_shared_is_refused_before_anything_is_trained(capsys, monkeypatch):
+    monkeypatch.setattr(SeveralProcesses, "start", lambda self: Processes(torch.device("cpu"), count=3))
+    assert "--batch 2: cannot be dealt out evenly to 3 processes" in refused(capsys, "train", "all", *TINY)
+    assert not Path("runs").exists()
 
 
 def test_what_cannot_be_generated_is_refused(capsys):

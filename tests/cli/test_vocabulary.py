@@ -3,6 +3,7 @@
 import dataclasses
 import typing
 from collections import defaultdict
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -57,6 +58,19 @@ def test_the_cache_is_where_users_expect_it(monkeypatch, tmp_path):
     assert user_cache("x") == tmp_path / "omad" / "x"
     assert kept_at(tmp_path, "kind", "name", {"a": "1"}) == tmp_path / "name"
     assert kept_at(None, "kind", "name", {"a": "1"}) != kept_at(None, "kind", "name", {"a": "2"})
+
+
+@pytest.mark.parametrize("words", [["estimate"], ["track"], ["train", "net"], ["eval", "pose"]], ids=" ".join)
+def test_lines_of_help_end_where_they_are_full(words, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    with pytest.raises(SystemExit):
+        run([*words, "--help"])
+    lines = [line.strip("│") for line in capsys.readouterr().out.splitlines()]
+    texts = [line.strip() if line.startswith(" " * 15) else "" for line in lines]
+    widest = max(map(len, texts))
+    short = [a for a, b in pairwise(texts) if a and b and len(a) + len(b.split()[0]) < widest]
+    assert sum(map(bool, texts)) > 20
+    assert not short
 
 
 def test_version(capsys):

@@ -21,7 +21,7 @@ from omad.data.surface_bank import SurfaceBank
 from omad.data.training_views import ViewSettings, draw_views
 from omad.geometry.kinematics import part_transforms
 from omad.geometry.transforms import invert_transform, transform_points
-from omad.model.point_choice import choose_points
+from omad.sensing.point_choice import choose_points
 
 SHARES = ["surrounded", "beside", "eroded", "flying", "patched", "occluded", "rim", "cut", "blobs", "correlated"]
 SHARES += ["around", "resized"]

@@ -52,7 +52,9 @@ def checkpoint(tmp_path: Path) -> Path:
 
 def signals(batch: int, joints: int, seed: int = 0) -> Signals:
     rng = np.random.default_rng(seed)
-    return Signals(rng.normal(size=(batch, len(IMAGE))), rng.normal(size=(batch, joints, len(JOINT))))
+    return Signals(
+        rng.normal(size=(batch, len(IMAGE))), rng.normal(size=(batch, joints, len(JOINT))), rng.normal(size=(batch, 4))
+    )
 
 
 def test_without_confidence_answers_are_the_least_squares_own(estimate: Estimate) -> None:

@@ -15,6 +15,7 @@ from omad.data.source import load_models
 from omad.data.urdf_import.folder import import_with_notes
 from omad.estimation.estimator import Estimator
 from omad.estimation.known import Known
+from omad.estimation.looks.either_hand import surer_hands
 from omad.evaluation.evaluate import true_pose
 from omad.evaluation.metrics import pose_errors
 from omad.geometry.transforms import MIRROR_X
@@ -135,3 +136,19 @@ def test_several_views_agree_on_a_hand(estimator):
     assert len({answer.of_other_hand for answer in answers}) == 1
     for T, answer in zip(poses, answers, strict=True):
         np.testing.assert_allclose(T @ answer.T_camera_base, poses[0] @ answers[0].T_camera_base, atol=1e-6)
+
+
+def test_the_likelier_hand_is_taken_and_without_one_the_surer(views):
+    estimator = omad.Estimator.from_pretrained("dishwasher", "cpu")
+    plain, images = estimator.of_each_hand([view.observation() for view in views], Known())
+    rng = np.random.default_rng(0)
+    hand = rng.normal(size=plain[0].signals.pooled.shape[1] + 1)
+    for together in (False, True):
+        told = [[e.signals.pooled[0] @ hand[:-1] + hand[-1] for e in pair] for pair in zip(plain, images, strict=True)]
+        told = np.mean(told, 0, keepdims=True).repeat(len(views), 0) if together else np.array(told)
+        found = surer_hands(plain, images, hand.tolist(), together)
+        assert [e.of_other_hand for e in found] == [bool(row[1] > row[0]) for row in told]
+    surer = [np.log(a.keypoint_std).mean() > np.log(b.keypoint_std).mean() for a, b in zip(plain, images, strict=True)]
+    assert [e.of_other_hand for e in surer_hands(plain, images, (), False)] == surer
+    with pytest.raises(InputError, match=r"hand: of another network"):
+        surer_hands(plain, images, (1.0, 2.0), False)

@@ -2,7 +2,6 @@
 
 import json
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,12 +13,10 @@ import omad
 from helpers.categories import CATEGORIES
 from omad.data.procedural import generate
 from omad.data.rendering.standard_views import View, standard_view
-from omad.estimation.category_ranking import rank
 from omad.estimation.estimator import Estimator, EstimatorConfig
 from omad.evaluation.baselines.adam import adam_refinement
 from omad.evaluation.evaluate import true_pose
 from omad.geometry.joint_kinds import REVOLUTE
-from omad.objects.category_file import get_category
 
 NAMES = list(CATEGORIES)
 GOLDEN = Path(__file__).parents[1] / "golden"
@@ -243,21 +240,3 @@ def test_looking_less_still_finds_the_object(estimator):
     fast = Estimator(estimator.net, EstimatorConfig.fast())
     off = [np.abs([e.joint_states for e in each(observations)] - states) for each in (estimator, fast)]
     assert np.median(off[1]) < 2 * np.median(off[0])
-
-
-def test_a_category_without_an_answer_is_not_ranked():
-    category = get_category("laptop")
-    observation = standard_view(generate(category, 0, "test"), category, (7, 0)).observation()
-    other = Estimator.from_pretrained("dishwasher", "cpu")
-    estimate = other(observation)
-    nothing = np.full_like(estimate.keypoints, np.nan)
-    lost = replace(estimate, keypoints=nothing, canonical_keypoints=nothing, beta=np.full_like(estimate.beta, np.nan))
-
-    class Lost:
-        net = other.net
-
-        def __call__(self, *_):
-            return lost
-
-    ranked = rank(observation, [Lost(), Estimator.from_pretrained("laptop", "cpu")])
-    assert [candidate.estimate.category.name for candidate in ranked] == ["laptop"]

@@ -30,7 +30,7 @@ def answers(seed: int, half_turned: float = 0.0) -> tuple[Answers, np.ndarray]:
     turned = (rng.random(VIEWS) < half_turned) & (image[:, 3] > 0)
     errors = np.where(turned, rng.uniform(1.0, 2.0, VIEWS), errors)
     likely = 1 / (1 + np.exp(-(0.5 + 2.0 * image[:, 1])))
-    return Answers(Signals(image, joint), errors[:, None], rng.random(VIEWS) < likely), likely
+    return Answers(Signals(image, joint, np.zeros((VIEWS, 4))), errors[:, None], rng.random(VIEWS) < likely), likely
 
 
 @pytest.fixture(scope="module")

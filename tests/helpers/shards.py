@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from omad.applications.bulk.parquet_images import import_pyarrow
 from omad.common.errors import InputError
+from omad.data.shards.parquet import import_pyarrow
 
 
 @dataclass(frozen=True)

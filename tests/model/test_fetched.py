@@ -15,9 +15,10 @@ import pytest
 from helpers.command_line import K, answer, laptop_view, save_png
 from omad.cli.main import run
 from omad.common.errors import InputError
+from omad.common.incoming import address_of
 from omad.common.user_cache import user_cache
 from omad.estimation.estimator import Estimator
-from omad.model.storage.fetched import MANIFEST, address_of, fetch
+from omad.model.storage.fetched import MANIFEST, fetch
 from omad.sensing.observation import Observation
 
 

@@ -27,6 +27,7 @@ from omad.estimation.part_labels import LabelledPoints
 from omad.model.posed_object import PosedObject
 from omad.objects.category_file import get_category
 from omad.objects.pose import ObjectPose
+from omad.output.formats import NEED
 from omad.output.gltf import save_glb
 from omad.output.ply import part_surfaces, save_ply
 from omad.output.rerun import save_rrd
@@ -285,6 +286,15 @@ def test_torch_depth_is_as_good_as_numpy(laptop):
     assert np.array_equal(same.points, observation.points)
     if torch.cuda.is_available():
         assert np.array_equal(omad.Observation.from_depth(depth.cuda(), view.camera.K).points, observation.points)
+
+
+@pytest.mark.parametrize(("name", "package", "extra"), [(name, *need) for name, need in NEED.items()])
+def test_a_missing_package_is_told_before_anything_is_done(name, package, extra, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setitem(sys.modules, package, None)
+    assert run(["estimate", "depth.png", "--category", "laptop", "--formats", "urdf", name]) == 2
+    assert f"omad: --formats {name}: needs {package}; pip install 'omad[{extra}]'" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""What is shipped: a small wheel without the baselines, which come apart, and workflows that build and publish both."""
+"""What is shipped: a small wheel, others for further categories and baselines, and workflows that publish them."""
 
 import json
 import re
@@ -13,11 +13,13 @@ from pathlib import Path
 import pytest
 import yaml
 
+from helpers.categories import CATEGORIES
 from omad import __version__
 from omad.cli.main import parse
 from omad.cli.scale.serve import Serve
 
 ROOT = Path(__file__).parents[2]
+APART = {name: f"packaging/{name}" for name in ("baselines", "categories")}
 
 
 def built(project: Path, folder: Path) -> zipfile.ZipFile:
@@ -26,18 +28,19 @@ def built(project: Path, folder: Path) -> zipfile.ZipFile:
     command = [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", str(folder), str(project)]
     subprocess.run(command, check=True, capture_output=True)
     [wheel] = folder.glob("*.whl")
-    assert wheel.stat().st_size < 20e6
     return zipfile.ZipFile(wheel)
 
 
 @pytest.mark.slow
-def test_the_wheel_is_small_and_the_baselines_come_apart(tmp_path):
-    own = set(built(ROOT, tmp_path / "own").namelist())
-    apart = set(built(ROOT / "packaging" / "baselines", tmp_path / "apart").namelist())
+def test_the_wheel_is_small_and_other_weights_come_apart(tmp_path):
+    wheels = [built(ROOT / folder, tmp_path / str(n)) for n, folder in enumerate((".", *APART.values()))]
+    assert sum(file.compress_size for file in wheels[0].infolist()) < 20e6
+    files = [name for wheel in wheels for name in wheel.namelist()]
+    own = set(wheels[0].namelist())
     weights = ROOT / "src/omad/model/weights"
     shipped = {f"omad/model/weights/{path.relative_to(weights).as_posix()}" for path in weights.rglob("*.*")}
-    assert shipped == {name for name in own | apart if name.startswith("omad/model/weights/")}
-    assert not own & apart
+    assert sorted(shipped) == sorted(name for name in files if name.startswith("omad/model/weights/"))
+    assert {name.split("/")[3] for name in own if name.startswith("omad/model/weights/")} == set(CATEGORIES)
     assert not [name for name in own if "/ancsh/" in name and "/weights/" in name]
     assert {"omad/output/page.html", "omad/applications/tracking/page.html", "omad/py.typed"} <= own
 
@@ -71,10 +74,11 @@ def test_the_container_serves_as_nobody_and_tells_whether_it_is_well():
     assert "[serve]" in " ".join(rest for word, rest in steps() if word == "RUN")
 
 
-def test_versions_agree():
-    own, apart = (tomllib.loads((ROOT / name / "pyproject.toml").read_text()) for name in (".", "packaging/baselines"))
+@pytest.mark.parametrize("name", APART)
+def test_versions_agree(name):
+    own, apart = (tomllib.loads((ROOT / at / "pyproject.toml").read_text()) for at in (".", APART[name]))
     assert own["project"]["version"] == apart["project"]["version"] == __version__
-    assert own["project"]["optional-dependencies"]["baselines"] == [f"omad-baselines=={__version__}"]
+    assert own["project"]["optional-dependencies"][name] == [f"omad-{name}=={__version__}"]
 
 
 @pytest.mark.parametrize("name", ["test", "release"])

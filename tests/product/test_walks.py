@@ -20,7 +20,7 @@ pytestmark = pytest.mark.slow
 
 
 class Walk:
-    """A copy of the package to change and run; as before in the end, as compiled code belongs to a place."""
+    """A copy of the package to change and run; as before in the end."""
 
     def __init__(self, root: Path, folder: Path) -> None:
         self.root, self.folder, self.touched = root, folder, set[str]()
@@ -52,10 +52,8 @@ class Walk:
         return self._run("-m", "omad", *words)
 
     def _run(self, *words: str) -> str:
-        environment = os.environ | {
-            "PYTHONPATH": str(self.root.parent),
-            "NUMBA_CACHE_DIR": str(self.root.parent / "numba"),
-        }
+        environment = os.environ | {"PYTHONPATH": str(self.root.parent)}
+        environment.pop("NUMBA_CACHE_DIR", None)  # what is compiled came with the copy
         done = subprocess.run(
             [sys.executable, *words], cwd=self.folder, env=environment, capture_output=True, text=True, check=False
         )
@@ -66,7 +64,7 @@ class Walk:
 @pytest.fixture(scope="module")
 def copy(tmp_path_factory) -> Path:
     root = tmp_path_factory.mktemp("walks") / "omad"
-    shutil.copytree(SOURCE, root, ignore=shutil.ignore_patterns("weights", "__pycache__"))
+    shutil.copytree(SOURCE, root, ignore=shutil.ignore_patterns("weights"))
     (root / "model" / "weights").symlink_to(SOURCE / "model" / "weights")
     return root
 

@@ -22,7 +22,7 @@ from omad.common.errors import InputError
 from omad.data.procedural import generate
 from omad.data.rendering.depth_noise import LEVELS, add_noise
 from omad.data.rendering.standard_views import View, standard_view
-from omad.estimation.category_ranking import rank, suspected
+from omad.estimation.categories.ranking import rank, suspected
 from omad.estimation.checks import doubts
 from omad.estimation.estimate import Estimate
 from omad.estimation.estimator import Estimator
@@ -333,13 +333,17 @@ def test_few_points_a_bad_fit_and_an_unsure_network_are_named():
 # which category
 
 
-def test_the_category_is_found_and_all_are_ranked():
-    ranked = rank(laptop_observation(), [shared_estimator(name) for name in ("scissors", "laptop", "drawer")])
+def test_the_category_is_found_and_ranked_before_others():
+    names = ("scissors", "laptop", "drawer")
+    ranking = rank(laptop_observation(), [shared_estimator(name) for name in names], always=names)
+    ranked = ranking.candidates
     assert ranked[0].estimate.category.name == "laptop"
+    assert {c.estimate.category.name for c in ranked} == set(names)
     assert [c.score for c in ranked] == sorted((c.score for c in ranked), reverse=True)
-    assert np.isclose(sum(c.probability for c in ranked), 1)
-    assert suspected(ranked[0].estimate, ranked) == []
-    (wrong,) = suspected(ranked[-1].estimate, ranked)
+    assert np.isclose(sum(c.probability for c in ranked) + ranking.none, 1)
+    assert not ranking.is_none
+    assert suspected(ranked[0].estimate, ranking) == []
+    (wrong,) = suspected(ranked[-1].estimate, ranking)
     assert "--category laptop" in wrong.cure
 
 

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from omad.common.errors import InputError
-from omad.estimation.category_ranking import Candidate, rank, suspected
+from omad.estimation.categories.late import AnyEstimator
+from omad.estimation.categories.ranking import Ranking, rank, suspected
 from omad.estimation.checks import Check, camera_doubts, doubts, is_doubtful
 from omad.estimation.estimate import Estimate
 from omad.estimation.estimator import Estimator
@@ -29,15 +30,15 @@ class Found:
     estimate: Estimate
     checks: list[Check]
     """What to look at, as something is doubtful."""
-    ranked: list[Candidate]
-    """All categories, best first, where they were compared."""
+    ranking: Ranking | None = None
+    """Of the likeliest categories, where they were compared."""
     none: bool = False
     """It is of none of the categories: the estimate is by the one that it is likest."""
 
     @property
     def doubtful(self) -> bool:
         """Whether it is rather wrong than right."""
-        return is_doubtful(self.estimate, self.checks)
+        return self.none or is_doubtful(self.estimate, self.checks)
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON, as plain values."""
@@ -45,11 +46,12 @@ class Found:
 
     def none_of_them(self) -> dict[str, Any]:
         """What is said of a thing that is of none of the categories."""
-        estimate, nothing = self.estimate, {"category": None, "converged": False, "joints": [], "parts": []}
-        return {**nothing, "probability": estimate.probability, "warnings": [*estimate.warnings], **self._doubts()}
+        assert self.ranking is not None
+        nothing = {"category": None, "converged": False, "joints": [], "parts": [], "probability": self.ranking.none}
+        return {**nothing, "warnings": [*self.estimate.warnings], **self._doubts()}
 
     def _doubts(self) -> dict[str, Any]:
-        ranked = {"categories": [candidate.to_dict() for candidate in self.ranked]} if self.ranked else {}
+        ranked = {} if self.ranking is None else self.ranking.to_dict()
         return {"doubtful": self.doubtful, "checks": [check.to_dict() for check in self.checks], **ranked}
 
 
@@ -59,7 +61,7 @@ class Solver:
 
     chosen: Estimator | None
     """Of the category asked for; None: of any."""
-    load_all: Callable[[], Sequence[Estimator]]
+    load_all: Callable[[], Sequence[AnyEstimator]]
     """Those of all categories, with the one chosen; asked for where they are needed."""
     known: Known = NOTHING_KNOWN
     compare: bool = False
@@ -75,10 +77,11 @@ class Solver:
 
     def _solve(self, observation: Observation, depth_scale: float | None) -> Found:
         if self.chosen is None:
-            if not (ranked := rank(observation, self.all, self.known)):
+            ranking = rank(observation, self.all, self.known)
+            if not ranking.candidates:
                 raise InputError("is of none of the categories, at no size; check depth scale, mask and intrinsics")
-            best = ranked[0].estimate
-            return Found(best, doubts(observation, best, depth_scale), ranked, none=bool(best.doubtful))
+            best = ranking.candidates[0].estimate
+            return Found(best, doubts(observation, best, depth_scale), ranking, ranking.is_none)
         return self.judged(observation, self.chosen(observation, self.known), depth_scale)
 
     def judged(
@@ -86,33 +89,33 @@ class Solver:
     ) -> Found:
         """An ``estimate`` by the category asked for, with what to doubt of it; ``further``: also by estimates with
         other focal lengths and other categories. Raises InputError where it is no answer."""
-        chosen, ranked = self.chosen, []
+        chosen, ranking = self.chosen, None
         assert chosen is not None
         checks = doubts(observation, estimate, depth_scale)
         if not estimate.is_finite:
             raise InputError(f"no answer: {checks[0]}")
         if not further:
-            return Found(estimate, checks, ranked)
+            return Found(estimate, checks)
         if not checks:
             checks += camera_doubts(observation, estimate, lambda views: chosen(views, self.known))
         odd_size = any(check.name == "size" for check in checks)  # of which every category says anything
         if (checks and not odd_size) or self.compare:
-            ranked = rank(observation, self.all, self.known)
-            checks += suspected(estimate, ranked)
-        return Found(estimate, checks, ranked)
+            ranking = rank(observation, self.all, self.known, always=[chosen.category.name])
+            checks += suspected(estimate, ranking)
+        return Found(estimate, checks, ranking)
 
     def together(self, views: Sequence[Observation], poses: Sequence[Any], depth_scale: float | None) -> list[Found]:
         """Views of one object, by the category asked for; ``poses`` (4, 4) T_world_camera of each."""
         assert self.chosen is not None
         estimates = self.chosen(views, self.known, T_world_camera=np.stack(poses))
         rows = zip(views, estimates, strict=True)
-        return [Found(e, [*doubts(view, e, depth_scale), *contradictions(e)], []) for view, e in rows]
+        return [Found(e, [*doubts(view, e, depth_scale), *contradictions(e)]) for view, e in rows]
 
     def find(self, frame: Observation, box: Sequence[float] | None) -> Observation:
         """The object in a whole frame. Raises InputError."""
         return ObjectFinder(Detector([self.chosen] if self.chosen else list(self.all)))(frame, box)
 
     @cached_property
-    def all(self) -> Sequence[Estimator]:
+    def all(self) -> Sequence[AnyEstimator]:
         """Those of all categories."""
         return self.load_all()

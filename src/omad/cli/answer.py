@@ -52,9 +52,14 @@ def table(rows: list[list[str]]) -> str:
 
 def state(joint: dict[str, Any], value: float | None) -> str:
     """A state of ``joint``, which is the joint of an estimate as JSON has it: degrees, or centimetres."""
+    return amount(value, slides=joint["pivot"] is None)
+
+
+def amount(value: float | None, slides: bool) -> str:
+    """Radians as degrees, or of what ``slides`` metres as centimetres."""
     if value is None:
         return "-"
-    return f"{100 * value:.1f} cm" if joint["pivot"] is None else f"{math.degrees(value):.1f}°"
+    return f"{100 * value:.1f} cm" if slides else f"{math.degrees(value):.1f}°"
 
 
 def state_and_std(joint: dict[str, Any]) -> str:

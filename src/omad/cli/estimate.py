@@ -21,14 +21,15 @@ from omad.common.lazy import lazy_imports
 from omad.sensing.input_options import FrameOptions, InputOptions
 
 from .answer import Answer, state, state_and_std, table
-from .options import BUILT_IN, OWN, CategoriesCommand, CategoryCommand, Fast, ToSurface, check_positive
+from .options import BUILT_IN, OWN, CategoriesCommand, CategoryCommand, Fast, ToSurface, check_positive, checkpoints
 
 with lazy_imports():
     from omad.applications.detection import picture as detection_picture
     from omad.applications.detection.detector import Detector
     from omad.applications.solver import Found, Solver
     from omad.estimation import world
-    from omad.model.checkpoint import shipped_categories
+    from omad.estimation.categories.late import AnyEstimator, LateEstimator, shipped_estimators
+    from omad.estimation.estimate import chance
     from omad.output import picture
     from omad.output.formats import check_formats, save_formats
     from omad.output.page import save_html
@@ -36,7 +37,7 @@ with lazy_imports():
     from omad.sensing.reader import InputReader, input_files, parse_numbers
 
 AUTO = "auto"
-CHOICE = f"{BUILT_IN}; auto: all of them are tried, and ranked by how well they explain what is seen; {OWN}"
+CHOICE = f"{BUILT_IN}; auto: the likeliest are tried, and ranked by how well they explain what is seen; {OWN}"
 DOUBTFUL = 1
 """Exit code of --strict."""
 
@@ -198,7 +199,9 @@ class Detect(CategoriesCommand):
         frame = InputReader.of(options, [self.input])(self.input)
         corners = None if self.box is None else parse_numbers(self.box, 4, "--box")
         began = time.perf_counter()
-        detector = Detector([estimator for _, estimator in self.estimators()])
+        detector = Detector(
+            [LateEstimator.of(folder, self.device) for folder in checkpoints(self.weights, self.categories)]
+        )
         loaded = time.perf_counter()
         look = detector.look(frame, corners)
         found = look.detections
@@ -223,7 +226,7 @@ def detections_text(answer: dict[str, Any]) -> str:
         states = ", ".join(f"{joint['name']} {state_and_std(joint)}" for joint in joints) or "-"
         box = "-" if found["box"] is None else ",".join(map(str, found["box"]))
         name = found["category"] or "none of these"
-        rows.append([str(number), name, f"{found['probability']:.0%}", box, _vector(found["centre"]), states])
+        rows.append([str(number), name, chance(found["probability"]), box, _vector(found["centre"]), states])
     if not answer["too_flat"]:
         return table(rows)
     names, limit = " and ".join(answer["too_flat"]), f"{1000 * answer['lowest']:.0f} mm"
@@ -233,13 +236,13 @@ def detections_text(answer: dict[str, Any]) -> str:
 
 def nearest_text(answer: dict[str, Any]) -> str:
     """What is likest a thing that is of none of the categories."""
-    return f"likest: {answer['categories'][0]['category']}, right with probability {answer['probability']:.0%}"
+    return f"probability {chance(answer['probability'])}; likest: {answer['categories'][0]['category']}"
 
 
 def joints_text(answer: dict[str, Any]) -> str:
     """What was found in one input, a line a joint, and how sure that is."""
     if answer["category"] is None:
-        return f"none of the categories; {nearest_text(answer)}"
+        return f"none of the categories ({nearest_text(answer)})"
     rows = [["joint", "state", "limits", "travel", "axis", "pivot (m)"]]
     for joint in answer["joints"]:
         limits = " to ".join(state(joint, limit) for limit in joint["limits"])
@@ -247,7 +250,7 @@ def joints_text(answer: dict[str, Any]) -> str:
         rows.append([joint["name"], state_and_std(joint), limits, _travel(joint), *places])
     doubt = ", doubtful" if answer["doubtful"] else ""
     known = answer["probability"] is not None
-    return table(rows) + (f"\nright with probability {answer['probability']:.0%}{doubt}" if known else "")
+    return table(rows) + (f"\nright with probability {chance(answer['probability'])}{doubt}" if known else "")
 
 
 def results_text(answer: dict[str, Any]) -> str:
@@ -287,11 +290,11 @@ class _Read:
         return cls(file, name, observation, time.perf_counter() - began)
 
 
-def _all_categories(chosen: omad.Estimator | None, device: str) -> list[omad.Estimator]:
+def _all_categories(chosen: omad.Estimator | None, device: str) -> list[AnyEstimator]:
     """The one chosen, and those of all other categories with shipped weights."""
-    found = [chosen] if chosen else []
-    others = sorted({*shipped_categories()} - {estimator.category.name for estimator in found})
-    return found + [omad.Estimator.from_pretrained(name, device) for name in others]
+    found: list[AnyEstimator] = [chosen] if chosen else []
+    taken = {estimator.category.name for estimator in found}
+    return found + [other for other in shipped_estimators(device) if other.category.name not in taken]
 
 
 def _folder_names(files: Sequence[Path]) -> list[str]:

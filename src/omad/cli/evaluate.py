@@ -183,7 +183,7 @@ class SpoiltViews(Models):
     """The views to spoil."""
 
     source: str = "procedural"
-    """procedural, a folder of URDF / PartNet-Mobility models, a folder that ``omad render`` made, or one of the same
+    """procedural, a folder of URDF / PartNet-Mobility models, what ``omad render`` made, or a folder of the same
     layout with depth frames of your own; of images, rows that need another viewpoint or camera are left out."""
     views: int = 60
     """Of each row, dealt out to the objects; of images, evenly over all of them."""

@@ -16,7 +16,7 @@ from omad.common.lazy import lazy_imports
 from omad.sensing.input_options import InputOptions
 
 from .answer import Answer, table
-from .options import BrokenFiles, CategoryCommand, Device, Json, Seed, Weights, check_positive, load_prior
+from .options import BrokenFiles, CategoryCommand, Device, Json, Seed, Weights, check_positive, everywhere, load_prior
 
 with lazy_imports():
     from omad.applications.retrieval import catalogue
@@ -45,7 +45,7 @@ class IndexBuild(CategoryCommand):
     """The index: one file, written whole or not at all; with --backend disk a folder, which is added to if it is there
     already. What was interrupted goes on when the same command is given again."""
     source: str = "procedural"
-    """procedural; a folder of URDF / PartNet-Mobility models; a folder that ``omad render`` made, or an ArtImage root;
+    """procedural; a folder of URDF / PartNet-Mobility models; what ``omad render`` made, or an ArtImage root;
     or a folder of depth images and clouds (a sub-folder an object, or each file an object)."""
     objects: int = 50
     """Procedural objects (those that no training has seen)."""
@@ -80,7 +80,7 @@ class IndexBuild(CategoryCommand):
 
     def _on_disk(self, estimator: omad.Estimator, space: Space) -> Answer:
         index, refused = LargeIndex.create(self.output, space), list[dict[str, str]]()
-        source = f"{self.source} {self.seed}" if self.source == "procedural" else str(Path(self.source).absolute())
+        source = f"{self.source} {self.seed}" if self.source == "procedural" else everywhere(self.source)
         index.add(self._portions(estimator, index.taken(source), refused), source)
         if not len(index):
             raise InputError(f"{self.source}: none of its {len(refused)} inputs can be used; see omad estimate")

@@ -2,8 +2,11 @@
 
 import io
 import os
+import re
 import sys
+from contextlib import suppress
 from dataclasses import dataclass, fields, is_dataclass
+from inspect import cleandoc
 from pathlib import Path
 from typing import Annotated, Any, Union
 
@@ -32,6 +35,7 @@ from .shipped import Compile, Demo, Deploy, Export, Info
 from .track import Track
 from .training.all import TrainAll
 from .training.networks import TrainAncsh, TrainConfidence, TrainNet, TrainPrior, TrainSiamese, TrainSurface
+from .training.proposals import TrainProposals
 
 ABOUT = (
     "Shape, pose, joint states and joint axes of unseen articulated objects from one depth view."
@@ -49,7 +53,7 @@ class Group:
 
 
 _TRAIN = {"prior": TrainPrior, "net": TrainNet, "confidence": TrainConfidence, "surface": TrainSurface}
-_TRAIN |= {"all": TrainAll, "ancsh": TrainAncsh, "siamese": TrainSiamese}
+_TRAIN |= {"all": TrainAll, "proposals": TrainProposals, "ancsh": TrainAncsh, "siamese": TrainSiamese}
 _EVAL = {"pose": EvalPose, "keypoints": EvalKeypoints, "views": EvalViews, "table1": EvalTable1, "table2": EvalTable2}
 _EVAL |= {"shape": EvalShape, "ablation": EvalAblation, "retrieval": EvalRetrieval, "robustness": EvalRobustness}
 _FIGURE = {"qualitative": FigureQualitative, "keypoints": FigureKeypoints, "sweep": FigureSweep}
@@ -89,6 +93,15 @@ def main() -> None:
         code = 1
     end_at_once()
     sys.exit(code)
+
+
+def _flow_help() -> None:
+    """Tyro breaks a help text where its docstring does, at indented lines and at those that begin with no letter."""
+    vars(tyro._strings)["remove_single_line_breaks"] = lambda text: re.sub(r"(?<!\n)\n(?!\n)", " ", cleandoc(text))
+
+
+with suppress(AttributeError):  # of another version
+    _flow_help()
 
 
 def parse(arguments: list[str]) -> Any:

@@ -19,6 +19,7 @@ with lazy_imports():
     from omad.data.artimage import write_artimage
     from omad.data.rendering import depth_noise as noises
     from omad.data.rendering.view_folder import render_to_folder
+    from omad.data.shards.views import run_record
     from omad.data.source import load_models
     from omad.data.urdf_import.importing import import_folder
     from omad.objects.urdf import write_urdf
@@ -153,5 +154,6 @@ class Render:
             self.clutter,
         )
         work = RenderWork(*drawn)
-        made_of = {**asdict(work), "version": omad.__version__}
+        told = {"spec": work.category, **run_record(omad.get_category(self.category))}
+        made_of = {**asdict(work), **told, "version": omad.__version__}
         return Answer(self.scale.run(work, self.views, self.output, made_of, workers, "cpu").to_dict())

@@ -21,9 +21,10 @@ with lazy_imports():
 
     from omad.applications.cluster.engines import choose_engine
     from omad.applications.cluster.shards import Plan, Sharded, Work, run_shards
-    from omad.applications.store import Store
     from omad.common.incoming import is_path
     from omad.common.runtime import cores, keep_freed_memory, pick_device
+    from omad.data import procedural
+    from omad.data.shards.store import Store
     from omad.data.source import ModelSource, ViewSource, load_models, load_views
     from omad.evaluation.paper.predictions import data_identity
     from omad.model import checkpoint
@@ -143,7 +144,7 @@ class Views:
 
     source: str = "procedural"
     """procedural, unusual (its odd members), mirrored (of the other hand), a folder of models, an ArtImage root (its
-    test split), or a folder that ``omad render`` made."""
+    test split), or what ``omad render`` made: its folder, or with --cluster its address."""
     objects: int = 20
     """Procedural objects a category."""
     views: int = 200
@@ -189,6 +190,14 @@ def checkpoints(weights: Path | None, names: Sequence[str] = ()) -> list[Path]:
         if not checkpoint.is_checkpoint(folder / name):
             raise InputError(f"{name}: no weights in {folder / name}; see omad info, or give --weights")
     return [folder / name for name in names]
+
+
+def generable(names: Sequence[str]) -> tuple[str, ...]:
+    """Those categories, or all that can be generated. Raises InputError where one of them cannot be."""
+    known = procedural.GENERATORS
+    if unknown := [name for name in names if name not in known]:
+        raise InputError(f"{unknown[0]}: cannot be generated; choose among {', '.join(known)}")
+    return tuple(names) or known
 
 
 def load_prior(folder: Path, device: str) -> PriorNet:

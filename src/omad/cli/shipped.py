@@ -11,7 +11,7 @@ from omad.common.files import write_atomic
 from omad.common.lazy import lazy_imports
 from omad.objects.builtin import builtin_names
 
-from .answer import Answer, state, state_and_std, table
+from .answer import Answer, as_lines, state, state_and_std, table
 from .options import CategoryName, Device, Fast, Json, Seed, Weights, check_category, check_positive
 
 with lazy_imports():
@@ -119,9 +119,9 @@ class Deploy:
 
     def run(self) -> Answer:
         config = omad.EstimatorConfig.fast() if self.fast else omad.EstimatorConfig()
-        net = load(OmadNet, find_weights(self.weights or self.category))
-        check_category("--weights", self.weights, net.category, self.category)
-        files = deploy(net, self.output, config)
+        estimator = omad.Estimator.from_pretrained(self.weights or self.category, "cpu", config)
+        check_category("--weights", self.weights, estimator.category, self.category)
+        files = deploy(estimator, self.output)
         size = sum((self.output / name).stat().st_size for name in files)
         return Answer({"folder": str(self.output), "files": files, "bytes": size})
 
@@ -139,7 +139,15 @@ class Info:
         weights = {name: str(find_weights(name)) for name in shipped_categories()}
         record = {"version": omad.__version__, "categories": list(builtin_names()), "weights": weights}
         record |= {"device": str(pick_device("auto")), "torch": torch.__version__, "numpy": np.__version__}
-        return Answer(record | {"python": platform.python_version()})
+        return Answer(record | {"python": platform.python_version()}, info_text)
+
+
+def info_text(answer: dict[str, Any]) -> str:
+    """A line a key; of weights the folder that they are in, and their names."""
+    folders: dict[str, list[str]] = {}
+    for name, folder in answer["weights"].items():
+        folders.setdefault(f"weights in {Path(folder).parent}", []).append(name)
+    return as_lines({key: value for key, value in answer.items() if key != "weights"} | folders)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,7 +12,7 @@ from omad.common.errors import InputError
 from omad.common.lazy import lazy_imports
 from omad.sensing.input_options import FrameOptions, InputOptions
 
-from .answer import Answer, as_json, as_lines
+from .answer import Answer, amount, as_json, table
 from .options import CategoryCommand, Fast, check_positive
 
 with lazy_imports():
@@ -123,7 +123,7 @@ class Track(CategoryCommand):
         finally:
             sequence.close()
         code = 2 if sequence.refused else 0 if any(one.status == "tracking" for one in sequence.tracked) else 1
-        return Answer(sequence.finish(truth), as_json if stream else as_lines, code)
+        return Answer(sequence.finish(truth), as_json if stream else track_text, code)
 
     def _frames(self, stream: bool) -> Iterable[Any]:
         """Raises InputError where there are none."""
@@ -149,3 +149,20 @@ class Track(CategoryCommand):
         if self.live:
             return Recorder.to_viewer()
         return Recorder.to_file(self.output / "track.rrd") if "rrd" in self.formats else None
+
+
+def track_text(answer: dict[str, Any]) -> str:
+    """A line a joint, with mean errors where the truth is known, and how the frames went."""
+    rows = [["joint", "last", "lowest", "highest"]]
+    errors = answer.get("errors")
+    rows[0] += ["mean error", "of single frames"] if errors else []
+    for index, joint in enumerate(answer["joint_states"]):
+        told = [joint[f"{which}_state"] for which in ("last", "lowest", "highest")]
+        told += [errors[index][which]["mean"] for which in ("tracked", "single")] if errors else []
+        rows.append([joint["name"], *(amount(value, slides=joint["type"] == "prismatic") for value in told)])
+    counts = ", ".join(f"{count} {status}" for status, count in answer["status"].items() if count)
+    each = f", {1000 * answer['seconds_per_frame']:.0f} ms each" if answer["frames"] else ""
+    lost = len(answer["refused"])
+    refused = [f"refused: {lost} frames, named in summary.json"] if lost else []
+    page = f"page: {Path(answer['output']) / 'track.html'}"
+    return "\n".join([table(rows), f"frames: {answer['frames']} ({counts or 'none'}{each})", page, *refused])

@@ -4,10 +4,12 @@ Whatever is wrong with a file is an InputError of one line that names it. What a
 see the message may not see the file. The values in it are for ``decode.py``.
 """
 
+import hashlib
 import io
 import json
 import math
 import os
+import re
 import stat
 import tomllib
 import zipfile
@@ -27,6 +29,8 @@ from .limits import check_limit, limits
 
 IMAGE_FORMATS = ("PNG", "TIFF", "JPEG", "BMP", "PPM", "WEBP", "GIF")
 """What Pillow may take a picture for. Others of its formats start programs, as EPS does."""
+CHECKSUM = "sha256"
+"""What a file calls its own checksum."""
 T = TypeVar("T")
 
 
@@ -71,6 +75,15 @@ def is_path(path: Any) -> bool:
         return os.path.exists(path)
     except (OSError, ValueError, TypeError):
         return False
+
+
+def address_of(place: str | Path) -> str | None:
+    """The address (``https://``, ``s3://`` ...) that a place is at; None for what is none, as a folder. A path forgets
+    one of two slashes."""
+    found = re.match(r"([A-Za-z][\w+.-]+):/+", str(place))
+    if found is None:
+        return None
+    return f"{found[1]}://{'/' if found[1] == 'file' else ''}{str(place)[found.end() :]}"
 
 
 def as_path(path: Any, what: str) -> Path:
@@ -128,6 +141,31 @@ def read_record(kind: type[T], path: Path, cure: str) -> T:
     """A dataclass from a JSON file, as ``decode`` reads it; fields that it does not know are passed over. Raises
     InputError."""
     return decoded(kind, read_json(path, cure), path, cure)
+
+
+def sealed(record: dict[str, Any]) -> dict[str, Any]:
+    """A record of JSON's own kinds of values, with its checksum."""
+    return {**record, CHECKSUM: _digest(record)}
+
+
+def read_sealed(path: Path, cure: str) -> Any:
+    """What was ``sealed`` and kept as JSON, without its checksum; earlier files have none. Raises InputError."""
+    record = read_json(path, cure)
+    if not isinstance(record, dict) or CHECKSUM not in record:
+        return record
+    content = {name: value for name, value in record.items() if name != CHECKSUM}
+    check_seal(record[CHECKSUM], _digest(content), path, cure)
+    return content
+
+
+def check_seal(told: Any, found: str, path: Path, cure: str) -> None:
+    """Raises InputError where a file's content does not give the checksum that it tells."""
+    if told != found:
+        raise InputError(f"{path}: is damaged (its content does not give its checksum); {cure}")
+
+
+def _digest(record: dict[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(record, sort_keys=True).encode()).hexdigest()
 
 
 def decoded(kind: type[T], value: Any, path: str | Path, cure: str) -> T:

@@ -19,6 +19,7 @@ from .procedural.own import SUFFIX, own_generator
 from .rendering.depth_noise import LEVELS
 from .rendering.standard_views import View, standard_views
 from .rendering.view_folder import is_view_folder, open_views
+from .shards.views import is_view_shards, open_view_shards
 from .urdf_import.folder import load_folder
 from .variation import with_variants
 
@@ -63,8 +64,8 @@ class SourceKind:
     """Objects with meshes, of which views can be rendered, by source, category, their number, split and seed."""
     surfaces: Callable[[str, Category, Split, Broken], list[SampledObject]] | None = None
     """Complete objects without meshes."""
-    images: Callable[[str, Category, Broken], ViewSource] | None = None
-    """Views to test on."""
+    images: Callable[[str, Category, Broken, int], ViewSource] | None = None
+    """Views to test on, without the first so many of them, which the total counts."""
 
     @property
     def has_objects(self) -> bool:
@@ -91,16 +92,21 @@ def _artimage_surfaces(source: str, category: Category, split: Split, broken: Br
     return [thing.surface for thing in open_artimage(source, category, split, broken).objects.values()]
 
 
-def _artimage_images(source: str, category: Category, broken: Broken) -> ViewSource:
+def _artimage_images(source: str, category: Category, broken: Broken, skip: int) -> ViewSource:
     images = open_artimage(source, category, "test", broken)
-    return ViewSource(images, len(images), False, images.left_out)
+    return ViewSource(islice(images, skip, None), len(images), False, images.left_out)
 
 
-def _rendered_images(source: str, category: Category, broken: Broken) -> ViewSource:
+def _rendered_images(source: str, category: Category, broken: Broken, skip: int) -> ViewSource:
     rendered = open_views(source)
     if rendered.category != category.name:
         raise InputError(f"{source}: views of {rendered.category}, not of {category.name}")
-    return ViewSource(rendered, len(rendered), rendered.noise is not None or rendered.clutter)
+    return ViewSource(rendered.after(skip), len(rendered), rendered.noise is not None or rendered.clutter)
+
+
+def _images_in_shards(source: str, category: Category, broken: Broken, skip: int) -> ViewSource:
+    shards = open_view_shards(source, category)
+    return ViewSource(shards.after(skip), len(shards), shards.noisy)
 
 
 def _unusual(source: str, category: Category, objects: int, split: Split, seed: int) -> ModelSource:
@@ -125,6 +131,7 @@ KINDS: dict[str, SourceKind] = {
     "generator": SourceKind(lambda source: source.endswith(SUFFIX), models=_of_own),
     "artimage": SourceKind(is_artimage, surfaces=_artimage_surfaces, images=_artimage_images),
     "rendered": SourceKind(is_view_folder, images=_rendered_images),
+    "shards": SourceKind(is_view_shards, images=_images_in_shards),
     "urdf": SourceKind(lambda source: True, models=_urdfs),
 }
 """The first that knows a source as its own reads it."""
@@ -174,5 +181,4 @@ def load_views(
         return ViewSource(drawn, views, noise != "off", found.refused, found.models)
     if noise != "off":
         raise InputError(f"{source}: is rendered already; leave out --depth-noise, or render it with that")
-    held = images(source, category, broken)
-    return replace(held, views=islice(held.views, skip, None))
+    return images(source, category, broken, skip)

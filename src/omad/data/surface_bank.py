@@ -70,7 +70,7 @@ class SurfaceBank:
         return len(self.points)
 
     def to(self, device: torch.device | str) -> SurfaceBank:
-        return SurfaceBank(**{f.name: getattr(self, f.name).to(device) for f in fields(self)})
+        return SurfaceBank(**{f.name: getattr(self, f.name).to(device) for f in fields(SurfaceBank)})
 
     def scaled(self, indices: Tensor, scale: Tensor) -> SurfaceBank:
         """Objects ``indices`` (B,) stretched by ``scale`` (B, 3) along the canonical axes, joints along with them."""

@@ -1,7 +1,8 @@
 """Endless training views, made on the training device from part-labelled surface samples.
 
 Nothing is rendered and no data set is stored: the samples of an object are posed, seen from a random
-standard viewpoint, and the nearest sample of every cell of a coarse image is kept (a point z-buffer).
+standard viewpoint, and the nearest sample of every cell of a coarse image is kept (a point z-buffer). Meshes
+(``MeshBank``) are rendered instead, a point a cell: slower, but nothing shines through them.
 One point a cell is also what random pixels of a depth image are: equally dense in the image.
 ``clutter`` spoils them, where it is asked for.
 All lengths are in category units.
@@ -24,6 +25,7 @@ from .clutter.correlated_noise import add_correlated_noise
 from .clutter.outline import Grid
 from .clutter.settings import Clutter
 from .clutter.spoil import Scene, spoil
+from .mesh_bank import MeshBank
 from .point_views import PosedSamples, look, pose, visible
 from .rendering.depth_noise import ON
 from .rendering.viewpoints import sample_poses, sample_states, uniform
@@ -103,9 +105,12 @@ def draw_views_of(
     steepest = torch.where(level > 0, float(np.cos(ON.grazing)), -1.0)
     points, facing = look(posed, bank.closed[indices], T_camera_base, steepest)
     centre = transform_points(T_camera_base, posed.centre[:, None]).squeeze(1)
-    seen = visible(points, centre, posed.radius) & facing & _in_frame(points)
+    if isinstance(bank, MeshBank):
+        points, seen, labels = bank.seen(indices, points, centre, posed.radius, steepest, generator)
+    else:
+        seen, labels = visible(points, centre, posed.radius) & facing, bank.labels[indices]
+    seen &= _in_frame(points)
     seen &= ~_holes(points, centre, posed.radius, level, generator)
-    labels = bank.labels[indices]
     if clutter is not None:
         scene = Scene(points, seen, labels, centre, posed.radius, T_camera_base)
         points, seen, labels = spoil(scene, spoilt, clutter, len(category.parts), generator)

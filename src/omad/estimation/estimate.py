@@ -162,7 +162,7 @@ class Estimate(PoseEstimate):
         x, y, z = self.T_camera_base[:3, 3]
         told = [", ".join(map(str, self.joints)), f"base at ({x:.3f}, {y:.3f}, {z:.3f}) m"]
         if self.probability is not None:
-            told.append(f"right with probability {self.probability:.0%}")
+            told.append(f"right with probability {chance(self.probability)}")
         told += ["not converged"] * (not self.converged)
         told += [f"warned of {', '.join(text.partition(':')[0] for text in self.warnings)}"] * bool(self.warnings)
         return f"<Estimate of a {self.category.name}: {'; '.join(told)}>"
@@ -336,6 +336,11 @@ class Estimate(PoseEstimate):
         joint = self.joints[names.index(part) - 1]
         motions = np.stack([joint.motion(travel) for travel in np.linspace(0.0, to_state - joint.state, steps)])
         return T_world @ motions @ np.linalg.inv(T_world) @ start
+
+
+def chance(probability: float) -> str:
+    """A probability as a person reads it; nothing is quite sure."""
+    return f"{min(max(probability, 0.01), 0.99):.0%}"
 
 
 def _checked(name: str, values: Any, shape: tuple[int, ...]) -> np.ndarray:

@@ -60,8 +60,6 @@ HALF_TURNS = quarter_turns()[3:6]
 
 Refine = Callable[[Refiner, Targets, State], Refined]
 """Minimises the energy that a refiner states, from an initial state."""
-
-
 MOST = 4096
 """Samples of a cloud, and observations at a time."""
 
@@ -120,6 +118,7 @@ class Estimator:
         self.config = config or EstimatorConfig()
         self.refine = refine
         self.confidence, self.surfaces = confidence, surfaces
+        self.hand = () if confidence is None else confidence.hand
         self._meter = Meter(net.category, net.prior)
         self._kept: dict[int, Refiner] = {}
 
@@ -201,15 +200,21 @@ class Estimator:
     def _estimate(
         self, observations: Sequence[Observation], known: Known, near: Near | None = None, rig: Rig | None = None
     ) -> list[Estimate]:
-        """``rig``: of the cameras of all observations, where these are views of one object at one moment. Objects that
-        may be of either hand are seen in a mirror, too: there those of the other hand are of the category's."""
-        plain = self._of_one_hand(observations, known, near, rig)
+        """``rig``: of the cameras of all observations, where these are views of one object at one moment."""
         if not self.category.either_hand:
-            return plain
+            return self._of_one_hand(observations, known, near, rig)
+        plain, images = self.of_each_hand(observations, known, near, rig)
+        return surer_hands(plain, images, self.hand, together=rig is not None)
+
+    def of_each_hand(
+        self, observations: Sequence[Observation], known: Known, near: Near | None = None, rig: Rig | None = None
+    ) -> tuple[list[Estimate], list[Estimate]]:
+        """Answers to the views, and to what they show in a mirror, where objects of the other hand are of the
+        category's; the latter still in the mirror."""
         seen = [observation.mirrored() for observation in observations]
         elsewhere = None if near is None else near.mirrored(), None if rig is None else rig.mirrored()
         images = self._of_one_hand(seen, known.mirrored(), *elsewhere)
-        return surer_hands(observations, plain, seen, images, together=rig is not None)
+        return self._of_one_hand(observations, known, near, rig), images
 
     @torch.no_grad()
     def _of_one_hand(

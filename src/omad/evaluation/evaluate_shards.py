@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from omad.applications.bulk.parquet_images import import_pyarrow
 from omad.common.batches import batched
+from omad.data.shards.parquet import import_pyarrow
 from omad.data.source import Broken, load_views
 from omad.estimation.estimator import Estimator, EstimatorConfig
 

@@ -13,9 +13,9 @@ from omad.data.training_views import ViewBatch, ViewSettings, draw_views
 from omad.model.network_input import first_frame, to_input_frame
 from omad.model.object_prior import object_keypoints
 from omad.model.omadnet import OmadNet
-from omad.model.point_choice import choose_points
 from omad.model.priornet import PriorNet
 from omad.objects.model import ObjectModel
+from omad.sensing.point_choice import choose_points
 from omad.training.train_net import view_truth
 
 BATCH = 50

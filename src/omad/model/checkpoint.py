@@ -2,6 +2,8 @@
 
 import json
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, ClassVar, Self, TypeVar
@@ -13,18 +15,16 @@ from torch import Tensor, nn
 from omad.common.arrays import digest_of
 from omad.common.decode import decode
 from omad.common.errors import InputError
-from omad.common.files import write_atomic, write_text
-from omad.common.incoming import as_path, is_file, read_json, readable
+from omad.common.files import write_atomic, write_json
+from omad.common.incoming import CHECKSUM, address_of, as_path, check_seal, is_file, read_sealed, readable, sealed
 from omad.common.limits import check_limit
 from omad.objects.builtin import builtin_names
 from omad.objects.category import Category
 
-from .storage.fetched import address_of, fetch
+from .storage.fetched import fetch
 from .storage.packing import unpacked
 
 FORMAT = 1
-CHECKSUM = "sha256"
-"""What the weights' file says of its numbers; earlier ones say nothing."""
 LARGEST = 1e6
 """Of a weight."""
 WEIGHTS = Path(__file__).parent / "weights"
@@ -33,11 +33,21 @@ WEIGHTS = Path(__file__).parent / "weights"
 
 
 class Network(nn.Module):
-    """A network that can be kept: it tells its kind and sizes, and can be built from them."""
+    """A network that can be kept: it tells its kind and sizes, and can be built from them. One of a single category
+    tells that, too."""
 
     kind: ClassVar[str]
     """What its checkpoints are called by; no other network's."""
     category: Category
+
+    def described(self) -> dict[str, Any]:
+        """All that a checkpoint tells of the network, plain values for JSON."""
+        return {**self.sizes(), "category": asdict(self.category)}
+
+    @classmethod
+    def from_description(cls, config: dict[str, Any]) -> Self:
+        """A fresh network of which a checkpoint tells this, as JSON gives it back."""
+        return cls.from_sizes(category_from_dict(config["category"]), config)
 
     def sizes(self) -> dict[str, Any]:
         """Plain values for JSON; all that ``from_sizes`` needs besides the category."""
@@ -50,15 +60,16 @@ class Network(nn.Module):
 
 
 N = TypeVar("N", bound=Network)
+M = TypeVar("M", bound=nn.Module)
 
 
 def save(net: Network, folder: Path, training: dict[str, Any]) -> None:
-    """Write a network with its category. ``training`` is kept for the record."""
-    config = {"format": FORMAT, "kind": net.kind, **net.sizes(), "category": asdict(net.category), "training": training}
+    """Write a network with what it tells of itself. ``training`` is kept for the record."""
+    config = {"format": FORMAT, "kind": net.kind, **net.described(), "training": training}
     tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in net.state_dict().items()}
-    text = json.dumps(config, indent=1, default=str) + "\n"
+    record = sealed(json.loads(json.dumps(config, default=str)))
     write_tensors(tensors, folder)
-    write_text(folder / "config.json", text)
+    write_json(folder / "config.json", record, indent=1)
 
 
 def write_tensors(tensors: dict[str, Tensor], folder: Path) -> None:
@@ -71,20 +82,37 @@ def load(network: type[N], folder: Path) -> N:
     """Read a network on the CPU, ready to run. Raises InputError for anything that is not its checkpoint."""
     config, path = _read_config(folder, network), folder / "model.safetensors"
     with readable(folder / "config.json", "a checkpoint's description", "copy it anew"):
-        net = network.from_sizes(category_from_dict(config["category"]), config)
+        net = network.from_description(config)
+    with _opened(folder) as file:
+        tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (it is no dict)
+        checksum = (file.metadata() or {}).get(CHECKSUM)
+        if checksum is not None:
+            check_seal(checksum, digest_of(tensors), path, "copy or train it anew")
+        net.load_state_dict(unpacked(tensors))
+    if not all((tensor.abs() <= LARGEST).all() for tensor in net.state_dict().values()):  # not for NaN either
+        raise InputError(f"{path}: holds numbers that are not finite, or far too large; copy or train it anew")
+    return net.eval().requires_grad_(False)
+
+
+def load_part(module: M, prefix: str, folder: Path) -> M:
+    """Read into a part of a checkpoint's network the weights whose names begin with ``prefix``, and no others. Raises
+    InputError."""
+    with _opened(folder) as file:
+        names = [name for name in file.keys() if name.startswith(prefix)]  # noqa: SIM118 (it is no dict)
+        module.load_state_dict(unpacked({name.removeprefix(prefix): file.get_tensor(name) for name in names}))
+    return module.eval().requires_grad_(False)
+
+
+@contextmanager
+def _opened(folder: Path) -> Iterator[Any]:
+    """The weights' file of a checkpoint. Raises InputError, also for what a reader of it raises."""
+    path = folder / "model.safetensors"
     if not is_file(path):
         raise InputError(f"{path}: missing; copy the whole checkpoint folder")
     with readable(path, "the weights of this network", "copy or train it anew"):
         check_limit("data_bytes", path.stat().st_size, f"{path}: the file")
         with safetensors.safe_open(path, "pt") as file:
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (it is no dict)
-            checksum = (file.metadata() or {}).get(CHECKSUM)
-        if checksum not in (None, digest_of(tensors)):
-            raise InputError(f"{path}: is damaged (its numbers do not give its checksum); copy or train it anew")
-        net.load_state_dict(unpacked(tensors))
-    if not all((tensor.abs() <= LARGEST).all() for tensor in net.state_dict().values()):  # not for NaN either
-        raise InputError(f"{path}: holds numbers that are not finite, or far too large; copy or train it anew")
-    return net.eval().requires_grad_(False)
+            yield file
 
 
 def is_checkpoint(folder: Path) -> bool:
@@ -96,6 +124,13 @@ def training_record(network: type[Network], folder: Path) -> dict[str, Any]:
     """What a checkpoint remembers of its training. Raises InputError."""
     found = _read_config(folder, network).get("training", {})
     return found if isinstance(found, dict) else {}
+
+
+def category_of(network: type[Network], folder: Path) -> Category:
+    """What the network of a checkpoint is of; reads no weights. Raises InputError."""
+    config = _read_config(folder, network)
+    with readable(folder / "config.json", "a checkpoint's description", "copy it anew"):
+        return category_from_dict(config["category"])
 
 
 def find_weights(name: str | Path) -> Path:
@@ -111,7 +146,10 @@ def find_weights(name: str | Path) -> Path:
     if isinstance(name, Path):
         raise InputError(f"{name}: no such folder; give the folder that a training wrote")
     known = ", ".join(shipped_categories()) or "none"
-    raise InputError(f"no weights for {str(name)!r}: give a checkpoint folder or a category with weights ({known})")
+    raise InputError(
+        f"no weights for {str(name)!r}: give a checkpoint folder or a category with weights ({known}; "
+        "pip install 'omad[categories]' brings all that there are)"
+    )
 
 
 def shipped_categories() -> list[str]:
@@ -134,9 +172,9 @@ def _read_config(folder: Path, network: type[Network]) -> dict[str, Any]:
     if not is_checkpoint(folder):
         raise InputError(f"{folder}: no config.json here; give the folder that a training wrote")
     cure = "give the folder that a training wrote"
-    config = read_json(path, cure)
+    config = read_sealed(path, cure)
     found = (config.get("format"), config.get("kind")) if isinstance(config, dict) else (None, None)
-    if None in found or not isinstance(config.get("category"), dict):
+    if None in found:
         raise InputError(f"{path}: not a checkpoint of this program; {cure}")
     if found[0] != FORMAT:
         raise InputError(f"{path}: format {found[0]!r}, this version reads {FORMAT}; install its version")

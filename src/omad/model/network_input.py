@@ -9,8 +9,7 @@ from torch import Tensor
 from omad.geometry.transforms import make_transform
 from omad.objects.category import Category
 from omad.sensing.observation import Observation
-
-from .point_choice import choose_points
+from omad.sensing.point_choice import choose_points
 
 
 def to_input_frame(points: Tensor, T_camera_input: Tensor) -> Tensor:

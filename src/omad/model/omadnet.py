@@ -42,6 +42,8 @@ class Prediction:
     """(B, M, 3)."""
     log_sigma: Tensor
     """(B, M) log of each keypoint's expected error per coordinate, category units."""
+    pooled: Tensor
+    """(B, pooled) what the backbone knows of the whole cloud."""
     part_logits: Tensor
     """(B, N, K) for every input point, or (B, 0, K): of the parts, and where the network tells them, one more of points
     that are not on the object."""
@@ -146,5 +148,6 @@ class OmadNet(Network):
             states=state[:, 7:],
             keypoints=keypoints,
             log_sigma=(log_sigma - 3.0).clamp(-6.0, 1.0),  # starts near 0.05 units
+            pooled=pooled,
             part_logits=part_logits,
         )

@@ -1,6 +1,7 @@
 """All formats by their names, as the command line asks for them. A new one is a file and an entry here."""
 
 from collections.abc import Callable, Sequence
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -29,13 +30,17 @@ FORMATS: dict[str, Callable[[Estimate, Observation, Path, Frame], object]] = {
     "rrd": lambda estimate, seen, folder, frame: save_rrd(estimate, folder / "object.rrd", seen, frame),
 }
 """Each writes an estimate, and what it was made from, into a folder, in a frame."""
+NEED = {"mjcf": ("mujoco", "mujoco"), "usd": ("pxr", "usd"), "rrd": ("rerun", "rerun")}
+"""Of formats that another package writes, its name and the extra's."""
 
 
 def check_formats(names: Sequence[str]) -> None:
-    """Raises InputError for a name that is not in ``FORMATS``."""
+    """Raises InputError for a name that is not in ``FORMATS``, and for a format whose package is not installed."""
     for name in names:
         if name not in FORMATS:
             raise InputError(f"--formats {name}: no such format; choose of {', '.join(FORMATS)}")
+        if name in NEED and find_spec(NEED[name][0]) is None:
+            raise InputError(f"--formats {name}: needs {NEED[name][0]}; pip install 'omad[{NEED[name][1]}]'")
 
 
 def save_formats(

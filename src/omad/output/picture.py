@@ -16,7 +16,7 @@ from PIL import Image
 
 from omad.common.files import write_atomic
 from omad.data.rendering.rasteriser import NOTHING, Rendering, rasterise, render
-from omad.estimation.estimate import Estimate
+from omad.estimation.estimate import Estimate, chance
 from omad.geometry.camera import NEAREST, STANDARD_CAMERA, Camera
 from omad.geometry.mesh import merge_meshes
 from omad.geometry.rigid import box, carry
@@ -87,8 +87,10 @@ def figure(observation: Observation, estimate: Estimate, truth: ObjectPose | Non
     panels[2].set_title("cloud and estimated object from the side")
 
     _draw_surface(panels[3], camera, observation, estimate)
+    wide, beyond = _widened(camera, windows[1])
+    extent = (-beyond - 0.5, camera.width + beyond - 0.5, camera.height + beyond - 0.5, -beyond - 0.5)
     for panel, name, states in zip(panels[4:], ("lower", "upper"), poses[1:], strict=True):
-        panel.imshow(shaded(render(model, states, estimate.T_camera_base, camera)))
+        panel.imshow(shaded(render(model, states, estimate.T_camera_base, wide)), extent=extent)
         panel.set_title(f"joints at {name} limit")
         _draw_axes(panel, camera, estimate)
     for panel, (left, right, top, bottom) in zip(np.delete(panels, 2), np.repeat(windows, (2, 3), 0), strict=True):
@@ -159,7 +161,7 @@ def how_sure(estimate: Estimate) -> str:
     """The probability of an answer as a person reads it; nothing where it is not known."""
     if estimate.probability is None:
         return ""
-    return f"right with probability {estimate.probability:.0%}{', doubtful' if estimate.doubtful else ''}"
+    return f"right with probability {chance(estimate.probability)}{', doubtful' if estimate.doubtful else ''}"
 
 
 def draw_points(panel: Axes, camera: Camera, points: np.ndarray, colours: np.ndarray, size: float = 1.5) -> None:
@@ -245,6 +247,14 @@ def around(camera: Camera, clouds: Sequence[np.ndarray]) -> tuple[float, float, 
     middle, half = (low + high) / 2, (0.5 + EDGE) * (high - low) + 1
     half = np.maximum(half, FLATTEST * half[::-1])
     return middle[0] - half[0], middle[0] + half[0], middle[1] - half[1], middle[1] + half[1]
+
+
+def _widened(camera: Camera, window: tuple[float, float, float, float]) -> tuple[Camera, int]:
+    """A camera that sees all of a region (left, right, top, bottom), and the pixels that it has more on each side."""
+    left, right, top, bottom = window
+    beyond = math.ceil(min(max(0, -left, right - camera.width, -top, bottom - camera.height), MAX_SIDE))
+    sides = {"width": camera.width + 2 * beyond, "height": camera.height + 2 * beyond}
+    return replace(camera, **sides, cx=camera.cx + beyond, cy=camera.cy + beyond), beyond
 
 
 def camera_around(points: np.ndarray) -> Camera:

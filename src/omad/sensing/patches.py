@@ -3,7 +3,8 @@
 import numpy as np
 from scipy.spatial import KDTree
 
-from omad.common.compiled import inner, jit
+from omad.common.compiled import jit
+from omad.geometry.disjoint_sets import join, numbered
 
 JUMP = 0.03
 """Between neighbouring pixels of one surface the depth differs by less than this share: three times what a plane shows
@@ -45,21 +46,5 @@ def _surfaces(depth, pixels, shape):
         for down, across in ((0, -1), (-1, -1), (-1, 0), (-1, 1)):
             j = place[row + down, column + across]
             if j >= 0 and abs(depth[i] - depth[j]) < JUMP * min(depth[i], depth[j]):
-                a, b = _root(root, i), _root(root, j)
-                root[max(a, b)] = min(a, b)
-    labels, things = np.empty_like(root), 0
-    for i in range(len(root)):
-        if root[i] == i:
-            labels[i] = things
-            things += 1
-        else:
-            labels[i] = labels[_root(root, i)]
-    return labels
-
-
-@inner
-def _root(root, i):
-    while root[i] != i:
-        root[i] = root[root[i]]
-        i = root[i]
-    return i
+                join(root, i, j)
+    return numbered(root)

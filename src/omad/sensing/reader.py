@@ -189,6 +189,8 @@ def input_files(paths: Sequence[Path]) -> list[Path]:
     files: list[Path] = []
     for path in paths:
         inside = files_in(path) if path.is_dir() else [path]
+        if not inside and files_in(path, "*/[!.]*"):
+            raise InputError(f"{path}: depth images or clouds lie in its sub-folders; give {path}/*, or one of them")
         if not inside:
             raise InputError(f"{path}: no depth image or cloud in it; known: {' '.join(KNOWN)}")
         files += inside

@@ -29,6 +29,8 @@ from omad.model.backbones.interface import Backbone, Features
 Precision = Literal["float32", "bf16"]
 PATIENCE = timedelta(minutes=10)
 """How long one process waits for another."""
+LONG = timedelta(days=30)
+"""How long it waits for what the first does alone."""
 T = TypeVar("T")
 
 
@@ -106,6 +108,18 @@ class Processes:
             with _together():
                 value = self.fabric.broadcast(value)
         return value  # pyright: ignore[reportReturnType]
+
+    def alone(self, work: Callable[[], T]) -> T:
+        """What ``work`` gives the first of them, while the others wait for it, as long as it takes."""
+        if not self.fabric:
+            return work()
+        with _together():
+            waiting: Any = torch.distributed.new_group(backend="gloo", timeout=LONG)
+        value = work() if self.first else None
+        with _together():
+            torch.distributed.barrier(waiting)
+            torch.distributed.destroy_process_group(waiting)
+        return self.from_first(lambda: value)  # pyright: ignore[reportReturnType]
 
     def all_of(self, own: Tensor) -> list[Tensor]:
         """The ``own`` tensor of each process, on the CPU and of one shape."""

@@ -19,12 +19,13 @@ import numpy as np
 
 from omad.common.errors import InputError
 from omad.common.files import one_line
+from omad.data.shards.parquet import import_pyarrow
+from omad.data.shards.store import Store
 from omad.sensing.camera_files import CameraFile, read_camera
 from omad.sensing.depth_files import in_metres, parse_stored
 from omad.sensing.observation import Observation
 from omad.sensing.reader import NEED_INTRINSICS, InputReader
 
-from ..store import Store
 from .stream import Frame
 
 SUFFIX = ".parquet"
@@ -33,15 +34,6 @@ ROWS = 16
 """Read together."""
 RAW = {1: "u1", 2: "<u2", 4: "<f4", 8: "<f8"}
 """Stored numbers by their bytes."""
-
-
-def import_pyarrow() -> Any:
-    """The package, with ``pyarrow.parquet``. Raises InputError where it is not installed."""
-    try:
-        import pyarrow.parquet  # pyright: ignore[reportMissingImports]
-    except ImportError as error:
-        raise InputError("Parquet files need PyArrow, which is not installed: pip install 'omad[parquet]'") from error
-    return pyarrow
 
 
 @dataclass(frozen=True)

@@ -15,10 +15,11 @@ from omad.common.batches import batched
 from omad.common.errors import InputError
 from omad.common.files import make_folder, write_atomic, write_json, writing
 from omad.common.incoming import read_json
+from omad.data.shards.parquet import import_pyarrow
 from omad.estimation.estimate import Estimate, plain
 from omad.estimation.joint_estimate import INTERVALS
 
-from .parquet_images import SUFFIX, import_pyarrow
+from .parquet_images import SUFFIX
 from .stream import Outcome
 
 LINES = ".jsonl"

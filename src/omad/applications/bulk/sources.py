@@ -10,15 +10,14 @@ from pathlib import Path
 import numpy as np
 
 from omad.common.errors import InputError
-from omad.common.incoming import map_array, read_arrays
-from omad.model.storage.fetched import address_of
+from omad.common.incoming import address_of, map_array, read_arrays
+from omad.data.shards.store import Store
 from omad.sensing.beside import is_companion
 from omad.sensing.depth_files import in_metres
 from omad.sensing.input_options import FrameOptions, InputOptions
 from omad.sensing.observation import Observation
 from omad.sensing.reader import KNOWN, InputReader
 
-from ..store import Store
 from .parquet_images import SUFFIX, ParquetImages
 from .stream import Frame
 

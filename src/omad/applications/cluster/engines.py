@@ -17,6 +17,7 @@ import torch
 from omad.common.errors import WorkError
 from omad.common.files import one_line
 from omad.common.workers import helpers
+from omad.data.shards.parquet import part_name
 
 from .shards import Done, Engine, Plan
 
@@ -76,7 +77,7 @@ def _make(number: int) -> Done:
 
 def on_cluster(plan: Plan, numbers: list[int], gpus: float = 0.0) -> Iterator[Done]:
     """On the Ray cluster that ``RAY_ADDRESS`` names, else on all cores of this machine. What a lost machine was at is
-    done by others. Raises WorkError where the cluster gives up."""
+    done by others. Raises WorkError where there is none, or it gives up."""
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     import ray  # pyright: ignore[reportMissingImports]
     import ray.data  # pyright: ignore[reportMissingImports]
@@ -85,7 +86,11 @@ def on_cluster(plan: Plan, numbers: list[int], gpus: float = 0.0) -> Iterator[Do
     begun = not ray.is_initialized()
     with contextlib.redirect_stdout(sys.stderr):  # Ray tells there of lost machines; stdout is for the answer
         if begun:
-            ray.init(logging_level=logging.ERROR, log_to_driver=False)
+            try:
+                ray.init(logging_level=logging.ERROR, log_to_driver=False)
+            except Exception as error:  # of an address where none is, or a machine too busy to begin
+                what = f"no cluster can be reached or started ({one_line(error)[:300]})"
+                raise WorkError(f"{what}; see RAY_ADDRESS, and run it again") from error
         logging.getLogger("ray.data").setLevel(logging.ERROR)
         ray.data.DataContext.get_current().enable_progress_bars = False
         try:
@@ -114,4 +119,4 @@ def persistent(plan: Plan, number: int) -> Done:
     try:
         return plan(number)
     except Exception as error:
-        return Done(number, 0, error=f"{plan.name(number)}: {type(error).__name__}: {one_line(error)}")
+        return Done(number, 0, error=f"{part_name(number)}: {type(error).__name__}: {one_line(error)}")

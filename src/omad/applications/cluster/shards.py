@@ -1,7 +1,5 @@
-"""A pure function over the shards of something long, whose rows become a Parquet file each.
-
-    <output>/run.json           what the rows are made of, so that no other run goes on with them
-    <output>/part-000000.parquet, part-000001.parquet ...
+"""A pure function over the shards of something long, whose rows become a Parquet file each; beside them lies what the
+rows are made of, so that no other run goes on with them (``data/shards/parquet.py``).
 
 A shard's file depends on the work and its number alone, and is there when all of it is: whoever does a shard a second
 time, because the first one's machine died or a run is given again, finds it or writes the same.
@@ -17,11 +15,9 @@ from typing import Any, Protocol, TypeAlias
 from omad.common.batches import progress
 from omad.common.errors import InputError, WorkError
 from omad.common.incoming import parse_json
+from omad.data.shards.parquet import RUN, import_pyarrow, part_name
+from omad.data.shards.store import Store
 
-from ..bulk.parquet_images import import_pyarrow
-from ..store import Store
-
-RUN = "run.json"
 META = b"omad"
 MOST = 10_000_000
 """Rows of a shard."""
@@ -72,29 +68,25 @@ class Plan:
         """How many."""
         return -(-self.total // self.size)
 
-    def name(self, number: int) -> str:
-        """Of a shard's file."""
-        return f"part-{number:06d}.parquet"
-
     def __call__(self, number: int) -> Done:
         """Make a shard, or find it."""
         start, stop = number * self.size, min(self.total, (number + 1) * self.size)
-        if self.store.has(self.name(number)):
+        if self.store.has(part_name(number)):
             return self.found(number)
         try:
             rows = self.work(start, stop)
             if len(rows) != stop - start:
                 what = f"{len(rows)} rows of {stop - start} inputs"
-                raise InputError(f"{self.name(number)}: {what}; have they changed?")
+                raise InputError(f"{part_name(number)}: {what}; have they changed?")
             done = Done(number, len(rows), sum(map(self.work.refused, rows)))
-            self.store.write(self.name(number), _parquet(rows, self.work.schema(), done))
+            self.store.write(part_name(number), _parquet(rows, self.work.schema(), done))
         except InputError as error:
             return Done(number, 0, error=str(error), bad_input=True)
         return done
 
     def found(self, number: int) -> Done:
         """What is there. Raises InputError for a file that was changed."""
-        name = self.name(number)
+        name = part_name(number)
         with self.store.open(name) as file:
             try:
                 told = json.loads(import_pyarrow().parquet.read_schema(file).metadata[META])
@@ -107,7 +99,7 @@ class Plan:
         """Of all shards, in order, once they are there."""
         parquet = import_pyarrow().parquet
         for number in range(self.shards):
-            with self.store.open(self.name(number)) as file:
+            with self.store.open(part_name(number)) as file:
                 yield from parquet.read_table(file).to_pylist()
 
 
@@ -164,7 +156,7 @@ def run_shards(plan: Plan, made_of: dict[str, Any], engine: Engine) -> Report:
     there, report, began = plan.store.names(), Report(), time.perf_counter()
     missing = []
     for number in range(plan.shards):
-        if plan.name(number) in there:
+        if part_name(number) in there:
             report.add(plan.found(number))
         else:
             missing.append(number)

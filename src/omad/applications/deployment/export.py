@@ -2,6 +2,7 @@
 
 import copy
 import shutil
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -10,11 +11,12 @@ import numpy as np
 
 from omad.common.files import make_folder, write_atomic, write_json, write_text
 from omad.estimation import estimator as looking
-from omad.estimation.estimator import EstimatorConfig
+from omad.estimation.estimator import Estimator, EstimatorConfig
 from omad.estimation.looks import shown
-from omad.model import network_input, point_choice
+from omad.model import network_input
 from omad.model.fitting.energy import ShapePrior
 from omad.model.omadnet import OmadNet
+from omad.sensing import point_choice
 from omad.sensing.observation import MIN_POINTS
 
 from . import program
@@ -24,13 +26,13 @@ NUMBERS, PROGRAM, NEEDS = "estimator.json", "estimate.py", "requirements.txt"
 NETWORK, ENERGY = "network.onnx", "energy.onnx"
 
 
-def deploy(net: OmadNet, folder: Path, config: EstimatorConfig) -> list[str]:
-    """Write the program that answers as ``Estimator(net, config)`` does; returns the names of its files. Raises
+def deploy(estimator: Estimator, folder: Path) -> list[str]:
+    """Write the program that answers as the ``estimator`` does; returns the names of its files. Raises
     InputError where ONNX's exporter is not installed."""
     make_folder(folder)
-    net = copy.deepcopy(net).cpu().eval()
+    net = copy.deepcopy(estimator.net).cpu().eval()
     network_graph(net).save(folder / NETWORK)
-    write_json(folder / NUMBERS, numbers(net, config), indent=1)
+    write_json(folder / NUMBERS, numbers(net, estimator.config, estimator.hand), indent=1)
     energy_graph(net.prior).save(folder / ENERGY)  # whose numbers are doubles from here on
     source = Path(program.__file__)
     write_atomic(folder / PROGRAM, lambda path: shutil.copyfile(source, path))
@@ -38,7 +40,7 @@ def deploy(net: OmadNet, folder: Path, config: EstimatorConfig) -> list[str]:
     return [NETWORK, ENERGY, NUMBERS, PROGRAM, NEEDS]
 
 
-def numbers(net: OmadNet, config: EstimatorConfig) -> dict[str, Any]:
+def numbers(net: OmadNet, config: EstimatorConfig, hand: Sequence[float]) -> dict[str, Any]:
     """What the program knows besides the graphs."""
     category, fit, prior = net.category, config.refinement, net.prior
     shape = ShapePrior.of(prior.beta_mean, prior.beta_covariance, fit.prior_weight)
@@ -47,6 +49,7 @@ def numbers(net: OmadNet, config: EstimatorConfig) -> dict[str, Any]:
         "joints": [joint.name for joint in category.joints],
         "turning": list(category.turning),
         "either_hand": category.either_hand,
+        "hand": list(hand),
         "metres_per_unit": category.metres_per_unit,
         "state_units": np.asarray(category.state_units).tolist(),
         "limits": [list(joint.limits) for joint in category.joints],

@@ -28,7 +28,7 @@ MOST = 4096
 class NetworkGraph(nn.Module):
     """``OmadNet`` without what surrounds its tensors."""
 
-    names = ("beta", "T_input_base", "states", "keypoints", "log_sigma", "part_logits")
+    names = ("beta", "T_input_base", "states", "keypoints", "log_sigma", "pooled", "part_logits")
 
     def __init__(self, net: OmadNet) -> None:
         super().__init__()

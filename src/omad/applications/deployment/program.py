@@ -51,13 +51,17 @@ class Answer:
     residual: float
     """RMS distance of keypoints from where they were seen."""
     converged: bool
+    hand: float
+    """Of a category whose objects may be of either hand, the larger the likelier it is of that hand."""
+    of_other_hand: bool = False
+    """Whether the object is the mirror image of one of the category."""
 
     def mirrored(self, turning: np.ndarray) -> "Answer":
         """Its image in the plane x = 0; ``beta`` stays that of the object in the mirror."""
         flip = np.diag([*MIRROR, 1.0])
         axes = np.where(turning[:, None], -self.axes * MIRROR, self.axes * MIRROR)
         placed = {"pivots": self.pivots * MIRROR, "keypoints": self.keypoints * MIRROR}
-        return replace(self, axes=axes, T_camera_part=flip @ self.T_camera_part @ flip, **placed)
+        return replace(self, axes=axes, T_camera_part=flip @ self.T_camera_part @ flip, of_other_hand=True, **placed)
 
 
 @dataclass(frozen=True)
@@ -70,6 +74,8 @@ class Look:
     """(M,) 1 / sigma^2."""
     row: np.ndarray
     """(16 + J + D) its own state: base pose row by row, joint states, beta."""
+    pooled: np.ndarray
+    """(P,) what it knows of the whole cloud."""
     logits: np.ndarray
     """(n, K) of the points shown."""
 
@@ -122,7 +128,7 @@ class Program:
         if not self.numbers["either_hand"]:
             return plain
         image = self._answer(points * MIRROR.astype(np.float32)).mirrored(self._turning)
-        return min(plain, image, key=lambda answer: float(np.log(answer.keypoint_std).mean()))
+        return max(plain, image, key=lambda answer: answer.hand)
 
     def _answer(self, points: np.ndarray) -> Answer:
         numbers, samples = self.numbers, self.numbers["samples"]
@@ -172,13 +178,14 @@ class Program:
         """At random choices (samples, n, 3) of a cloud, in a frame (4, 4)."""
         frame = frame.astype(np.float32)
         said = self._network.run(None, {"input": (clouds - frame[:3, 3]) @ frame[:3, :3]})
-        beta, base, states, keypoints, log_sigma, logits = map(np.asarray, said)
+        beta, base, states, keypoints, log_sigma, pooled, logits = map(np.asarray, said)
         precision = np.exp(-2 * log_sigma)
         total = precision.sum(0)
         mean = (precision[..., None] * keypoints).sum(0) / total[:, None]
         row = np.concatenate([(frame @ base[0]).ravel(), states.mean(0), beta.mean(0)]).astype(np.float64)
         seen = (mean @ frame[:3, :3].T + frame[:3, 3]).astype(np.float64)
-        return Look(seen, (total / len(clouds)).astype(np.float64), row, logits.reshape(-1, logits.shape[-1]))
+        weights = (total / len(clouds)).astype(np.float64)
+        return Look(seen, weights, row, pooled.mean(0), logits.reshape(-1, logits.shape[-1]))
 
     def _crowded(self, logits: np.ndarray) -> bool:
         margin = logits[:, -1] - logits[:, :-1].max(1)
@@ -188,7 +195,8 @@ class Program:
         """Which points are: those whose nearest neighbour among the labelled is."""
         numbers = self.numbers
         chosen = choose_points(points, numbers["points"], sum(numbers["samples"]), numbers["seed"], numbers["cells"])
-        seen, outside = points[chosen.ravel()].astype(np.float64), logits.argmax(1) == logits.shape[1] - 1
+        chosen, first = np.unique(chosen, return_index=True)  # what was said of a point first counts
+        seen, outside = points[chosen].astype(np.float64), logits[first].argmax(1) == logits.shape[1] - 1
         kept = []
         for start in range(0, len(points), 1024):
             apart = np.square(seen).sum(1) - 2 * points[start : start + 1024].astype(np.float64) @ seen.T
@@ -273,6 +281,7 @@ class Program:
         points, _, _, axes, pivots, parts = self._at(fit.row)
         parts = parts.copy()
         parts[:, :3, 3] *= unit
+        hand, sure = np.array(self.numbers["hand"]), -float(np.log(look.expected_error))
         return Answer(
             beta=fit.row[16 + J :],
             joint_states=fit.row[16 : 16 + J] * units,
@@ -284,6 +293,7 @@ class Program:
             keypoint_std=unit / np.sqrt(look.weights),
             residual=fit.residual * unit,
             converged=bool(fit.converged),
+            hand=float(look.pooled @ hand[:-1] + hand[-1]) if len(hand) else sure,
         )
 
 

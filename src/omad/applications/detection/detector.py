@@ -8,11 +8,13 @@ from typing import Any
 import numpy as np
 
 from omad.common.arrays import as_doubles
+from omad.estimation.categories.late import AnyEstimator, LateEstimator
+from omad.estimation.categories.proposals import Proposals
 from omad.estimation.estimate import Estimate, plain
-from omad.estimation.estimator import Estimator
 from omad.estimation.evidence import measure_evidence
 from omad.geometry.rigid import box as bounds
 from omad.model.checkpoint import shipped_categories
+from omad.model.proposals.network import Proposer, shipped_proposer
 from omad.sensing.cutting.angles import angle_doubts
 from omad.sensing.cutting.segmentation import things_before_planes
 from omad.sensing.observation import Observation
@@ -41,7 +43,7 @@ class Detection:
     estimate: Estimate | None
     """By its category, of its steadied points; None where it is of none."""
     evidence: dict[str, np.ndarray]
-    """(8,) what speaks ``against`` each category of about its size."""
+    """(9,) what speaks ``against`` each category that was fitted: of about its size, and proposed."""
 
     @property
     def category(self) -> str | None:
@@ -95,10 +97,12 @@ class Look:
 class Detector:
     """Looks for objects of the categories whose estimators it has."""
 
-    estimators: Sequence[Estimator]
-    """One for each category."""
+    estimators: Sequence[AnyEstimator]
+    """One for each category; those that load late are loaded where something may be of theirs."""
     judgement: Judgement = field(default_factory=Judgement.fitted)
     """How likely things are of these categories."""
+    propose: Proposer = field(default_factory=shipped_proposer)
+    """Which of them are worth fitting to a thing."""
 
     def __call__(self, frame: Observation, box: Sequence[float] | None = None) -> list[Detection]:
         """All things of a whole ``frame``, objects first and the likeliest of them first; within a ``box``
@@ -117,19 +121,21 @@ class Detector:
     def _judged(self, seen: Sequence[Observation], planes: np.ndarray) -> list[Detection]:
         """Each of the things that were ``seen`` before ``planes`` (P, 4)."""
         steady = [steadied(thing) for thing in seen]
+        names = [estimator.category.name for estimator in self.estimators]
+        proposals = [Proposals.of(look, names) for look in self.propose(steady)]
+        chosen = [self._worth_fitting(*each) for each in zip(steady, proposals, strict=True)]
         evidence: list[dict[str, np.ndarray]] = [{} for _ in seen]
         estimates: list[dict[str, Estimate]] = [{} for _ in seen]
-        for estimator in self.estimators:
-            category = estimator.category
-            ratios = [size_ratio(thing.points, category) for thing in steady]
-            of_its_size = [i for i, ratio in enumerate(ratios) if 1 / ODD_SIZE < ratio < ODD_SIZE]
-            found = estimator([steady[i] for i in of_its_size]) if of_its_size else []
-            for i, estimate in zip(of_its_size, found, strict=True):
+        for estimator, name in zip(self.estimators, names, strict=True):
+            rows = [i for i, few in enumerate(chosen) if name in few]
+            found = estimator([steady[i] for i in rows]) if rows else []
+            for i, estimate in zip(rows, found, strict=True):
                 if not estimate.is_finite:  # no candidate at all
                     continue
                 measured = measure_evidence(steady[i], estimate, estimator.net.prior)
-                evidence[i][category.name] = against(measured, estimate, ratios[i], planes)
-                estimates[i][category.name] = estimate
+                ratio = size_ratio(steady[i].points, estimator.category)
+                evidence[i][name] = against(measured, estimate, ratio, planes, proposals[i].doubt(name))
+                estimates[i][name] = estimate
         detections = []
         for thing, numbers, candidates in zip(seen, evidence, estimates, strict=True):
             probabilities = self.judgement.probabilities(numbers)
@@ -138,6 +144,11 @@ class Detector:
             estimate = candidates[best] if best is not None and sure else None
             detections.append(Detection(thing, probabilities, estimate, numbers))
         return sorted(detections, key=lambda found: (found.category is None, -found.probability))
+
+    def _worth_fitting(self, thing: Observation, proposals: Proposals) -> list[str]:
+        """Of the categories whose objects are about as large as the thing."""
+        ratios = {one.category.name: size_ratio(thing.points, one.category) for one in self.estimators}
+        return proposals.worth_fitting([name for name, ratio in ratios.items() if 1 / ODD_SIZE < ratio < ODD_SIZE])
 
 
 def detect(depth_m: Any, K: Any, categories: Sequence[str] = (), box: Sequence[float] | None = None) -> list[Detection]:
@@ -149,7 +160,7 @@ def detect(depth_m: Any, K: Any, categories: Sequence[str] = (), box: Sequence[f
 
 @cache
 def _detector(categories: tuple[str, ...]) -> Detector:
-    return Detector([Estimator.from_pretrained(name) for name in categories])
+    return Detector([LateEstimator.of(name) for name in categories])
 
 
 def _of_box(things: Sequence[np.ndarray], inside: np.ndarray | None) -> list[np.ndarray]:
@@ -162,8 +173,8 @@ def _of_box(things: Sequence[np.ndarray], inside: np.ndarray | None) -> list[np.
     return [part for part, of in cut if len(part) >= WITHIN * of] or [part for part, _ in cut]
 
 
-def _height(estimator: Estimator) -> float:
+def _height(estimator: AnyEstimator) -> float:
     """Metres, of the category's mean object at rest."""
-    prior = estimator.net.prior
+    prior = estimator.prior if isinstance(estimator, LateEstimator) else estimator.net.prior
     keypoints = as_doubles(prior.keypoints(prior.beta_mean[None]).detach()[0])
     return float(np.ptp(keypoints[:, 1])) * estimator.category.metres_per_unit

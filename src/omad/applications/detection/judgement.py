@@ -32,13 +32,13 @@ def size_ratio(points: np.ndarray, category: Category) -> float:
     return float(np.linalg.norm(np.ptp(points, axis=0))) / (USUAL_SIZE * category.metres_per_unit)
 
 
-def against(evidence: Evidence, estimate: Estimate, ratio: float, planes: np.ndarray) -> np.ndarray:
-    """(8,) what speaks against a category; grows as it fits worse. ``ratio`` is the ``size_ratio``; ``planes`` (P, 4)
-    are those of table, floor and walls, n . p = d, n towards the camera."""
+def against(evidence: Evidence, estimate: Estimate, ratio: float, planes: np.ndarray, doubt: float) -> np.ndarray:
+    """(9,) what speaks against a category; grows as it fits worse. ``ratio`` is the ``size_ratio``; ``planes`` (P, 4)
+    are those of table, floor and walls, n . p = d, n towards the camera; ``doubt`` is that of ``Proposals``."""
     odd_size = math.log(max(ratio, 1e-6)) ** 2
     fit = [evidence.unsure, evidence.shape_mahalanobis, evidence.uncovered, evidence.unseen]
     outside = math.sqrt(float((estimate.part_labels == OUTSIDE).mean()))
-    return np.array([*fit, odd_size, _solidity(estimate), outside, _tilt(estimate, planes)])
+    return np.array([*fit, odd_size, _solidity(estimate), outside, _tilt(estimate, planes), doubt])
 
 
 def _tilt(estimate: Estimate, planes: np.ndarray) -> float:
@@ -60,7 +60,7 @@ class Judgement:
     """Weights of the evidence, by the names of categories: their networks differ in how sure they are."""
 
     weights: Mapping[str, Sequence[float]]
-    """(8,) log-odds per unit of what ``against`` returns."""
+    """(9,) log-odds per unit of what ``against`` returns."""
     offsets: Mapping[str, float]
     """Log-odds of a category over none where nothing speaks against it."""
 
@@ -70,7 +70,7 @@ class Judgement:
         return cls(**json.loads(FITTED.read_text(encoding="utf-8")))
 
     def probabilities(self, evidence: Mapping[str, np.ndarray]) -> dict[str | None, float]:
-        """Of the categories whose evidence (8,) is given by their names, and of none of them (None); likeliest first.
+        """Of the categories whose evidence (9,) is given by their names, and of none of them (None); likeliest first.
         A category of one's own has the mean weights of the known ones."""
         scores: dict[str | None, float] = {None: 0.0}
         for name, values in evidence.items():

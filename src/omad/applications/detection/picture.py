@@ -6,6 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from omad.data.rendering.rasteriser import render
+from omad.estimation.estimate import chance
 from omad.output.picture import blank_panels, camera_around, draw_points, part_colours, plain_texts, shaded
 from omad.sensing.observation import Observation
 
@@ -30,7 +31,7 @@ def figure(frame: Observation, detections: Sequence[Detection], title: str = "")
         points = found.observation.points
         colour = GREY if found.category is None else part_colours(number)
         draw_points(seen, camera, points, colour)
-        name = f"{number} {found.category or 'none'} {found.probability:.0%}"
+        name = f"{number} {found.category or 'none'} {chance(found.probability)}"
         x, y = np.median(camera.project(points), axis=0)
         seen.text(x, y, name, ha="center", bbox={"facecolor": "white", "alpha": 0.7, "pad": 1.5, "linewidth": 0})
         if found.estimate is not None:

@@ -31,6 +31,8 @@ class ObjectState:
     """(D,) shape parameters."""
     joint_states: np.ndarray
     """(J,) radians or metres."""
+    of_other_hand: bool = False
+    """It is the mirror image of what beta says."""
 
     def with_joint(self, joint: int, state: float) -> Self:
         """The same object with one joint moved."""
@@ -100,7 +102,7 @@ class ObjectSpace:
 
     def estimated(self, estimate: Estimate) -> ObjectState:
         """The object that was found."""
-        return ObjectState(estimate.beta.copy(), estimate.joint_states)
+        return ObjectState(estimate.beta.copy(), estimate.joint_states, estimate.of_other_hand)
 
     def sigmas(self, state: ObjectState) -> np.ndarray:
         """(D,) how many standard deviations each number of beta is away from its mean."""
@@ -120,6 +122,8 @@ class ObjectSpace:
             parts = self._surfaces.of_keypoints(posed.canonical_keypoints)
         else:
             parts = tuple(convex_hull(posed.canonical_keypoints[part]) for part in self._prior.keypoints_of_part)
+        if state.of_other_hand:
+            posed, parts = posed.mirrored(self.category.turning), tuple(part.mirrored() for part in parts)
         return Drawing(posed.keypoints, parts, posed.placed.T_camera_part, self._arrows(posed))
 
     def _arrows(self, posed: PosedObject) -> np.ndarray:

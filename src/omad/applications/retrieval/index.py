@@ -14,7 +14,7 @@ import numpy as np
 from omad.common.decode import Shape
 from omad.common.errors import InputError
 from omad.common.files import write_atomic
-from omad.common.incoming import decoded, existing, parse_json, read_arrays, readable
+from omad.common.incoming import check_seal, decoded, existing, parse_json, read_arrays, readable
 from omad.common.limits import check_limit
 
 from .search import ExactSearch, GraphSearch, Neighbours
@@ -173,8 +173,8 @@ class ShapeIndex:
             raise InputError(f"{path}: format {found!r} is not {FORMAT}; {cure}")
         head = decoded(_Head, values, path, cure)
         with readable(path, "an index (a part of it is missing or wrong)", cure):
-            if head.sha256 not in (None, _digest(arrays)):
-                raise InputError(f"{path}: is damaged (its numbers do not give its checksum); {cure}")
+            if head.sha256 is not None:
+                check_seal(head.sha256, _digest(arrays), path, cure)
             return cls._of(head, arrays)
 
     @classmethod

@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from PIL import Image
 
-from omad.common.incoming import read_image, readable
+from omad.common.incoming import read_image
 from omad.objects.model import ObjectModel
 from omad.output.contact_sheet import picture
 from omad.output.picture import blank_panels
@@ -15,8 +15,8 @@ from omad.sensing.observation import Observation
 
 from .index import Hit
 
-SIZE = 96
-"""Pixels across a thumbnail."""
+SIZE = 224
+"""Pixels across a thumbnail, where there is so much to see."""
 COLUMNS = 6
 
 
@@ -48,15 +48,16 @@ def ranking_figure(observations: Sequence[Observation], hits: Sequence[Hit], uni
 
 
 def _seen(observation: Observation) -> np.ndarray:
-    """(SIZE, SIZE, 3) of the points, the nearest one of every pixel."""
+    """(S, S, 3) of the points, the nearest one of every pixel, which are no smaller than the points lie apart."""
     points = observation.points[np.argsort(-observation.points[:, 2])].astype(np.float64)  # near ones are drawn last
     rays = points[:, :2] / np.maximum(points[:, 2:], 1e-6)
     low, high = rays.min(0), rays.max(0)
-    scale = 0.9 * (SIZE - 1) / max(float((high - low).max()), 1e-9)
-    column, row = np.rint((rays - (low + high) / 2) * scale + (SIZE - 1) / 2).astype(int).clip(0, SIZE - 1).T
+    size = min(SIZE, int(np.sqrt(len(points))) + 1)
+    scale = 0.9 * (size - 1) / max(float((high - low).max()), 1e-9)
+    column, row = np.rint((rays - (low + high) / 2) * scale + (size - 1) / 2).astype(int).clip(0, size - 1).T
     near, far = observation.depth_range
     light = (1 - (points[:, 2] - near) / max(far - near, 1e-9)).clip(0, 1)
-    image = np.ones((SIZE, SIZE, 3))
+    image = np.ones((size, size, 3))
     image[row, column] = 0.15 + 0.6 * light[:, None] * np.array([0.6, 0.85, 1.0])
     return image
 
@@ -71,6 +72,4 @@ def _png(image: np.ndarray) -> bytes:
 
 
 def _read(thumbnail: bytes) -> np.ndarray:
-    stored = read_image(thumbnail, "a thumbnail of the index", cure="build the index anew")
-    with readable("a thumbnail of the index", "an image", "build the index anew"):
-        return np.asarray(Image.fromarray(stored).convert("RGB"))
+    return read_image(thumbnail, "a thumbnail of the index", "RGB", cure="build the index anew")

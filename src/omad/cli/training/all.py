@@ -8,20 +8,21 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from omad.common.errors import InputError
+from tyro.conf import OmitArgPrefixes
+
 from omad.common.files import write_json
 from omad.common.lazy import lazy_imports
 
 from ..answer import Answer, table
 from ..evaluate import EvalPose
-from ..options import Device, Json, Seed, Views, check_positive
-from .networks import TrainConfidence, TrainNet, TrainPrior, TrainSurface
+from ..options import Json, Seed, Views, check_positive, generable
+from .networks import SeveralProcesses, TrainConfidence, TrainNet, TrainPrior, TrainSurface
 
 with lazy_imports():
-    from omad.data import procedural
     from omad.estimation.confidence import model as confidences
     from omad.model.checkpoint import is_checkpoint
     from omad.model.surfaces import bank
+    from omad.training.processes import Processes
 
 PRIOR, FIRST, LAST = 0.08, 0.62, 0.3
 """Of a category's time: for the prior, for the network, and for the network with the refined answer's error."""
@@ -49,46 +50,58 @@ class TrainAll:
     steps: int | None = None
     """At most so many of each training; default: as many as the time allows."""
     batch: int = 64
-    """Samples a step of the network's training."""
+    """Samples a step of the network's training, of all processes together."""
     seed: Seed = 0
     threads: int = 1
     """CPU threads; 0: PyTorch's choice."""
-    device: Device = "auto"
+    several: OmitArgPrefixes[SeveralProcesses] = SeveralProcesses()
     json: Json = False
 
     def run(self) -> Answer:
         check_positive(minutes=self.minutes, objects=self.objects, views=self.views, steps=self.steps, batch=self.batch)
-        known = procedural.GENERATORS
-        names = self.categories or known
-        if unknown := [name for name in names if name not in known]:
-            raise InputError(f"{unknown[0]}: cannot be generated; choose among {', '.join(known)}")
-        return Answer({"folder": str(self.output), "results": [self._one(name) for name in names]}, all_text)
+        names = generable(self.categories)
+        processes = self.several.start()
+        with processes.heard():
+            processes.share(self.batch)  # rather now than once the prior is learnt
+            results = [self._one(name, processes) for name in names]
+        return Answer({"folder": str(self.output), "results": results}, all_text)
 
-    def _one(self, name: str) -> dict[str, Any]:
-        """What is measured of a category, once it is trained."""
+    def _one(self, name: str, processes: Processes) -> dict[str, Any]:
+        """What is measured of a category, once it is trained: its networks by all ``processes``, the rest by one."""
         home = self.output / name
         priors, first, results = home / "prior", home / "first", home / RESULTS
         made: dict[str, Any] = {"category": name, "objects": self.objects, "threads": self.threads}
-        learning = made | {"device": self.device, "seed": self.seed}
+        learning, device = made | {"seed": self.seed, "steps": self.steps}, self.several.device
+        prior = learning | {"several": SeveralProcesses(device)}
         net = learning | {"prior": priors, "clutter": True, "batch": self.batch, "steps": self.steps or 10**7}
+        net |= {"several": self.several}
         start = net | {"features": None if self.features == "nothing" else self.features}
         last = net | {"refinement_loss": 6.0, "learning_rate": 1e-3, "initial": str(first)}
         made |= {"weights": home}
         stages = (
-            (is_checkpoint(priors), TrainPrior(**learning, output=priors, steps=self.steps, **self._time(PRIOR))),
-            (is_checkpoint(first), TrainNet(**start, output=first, **self._time(FIRST))),
-            (is_checkpoint(home), TrainNet(**last, output=home, **self._time(LAST))),
-            ((home / confidences.FILE).is_file(), TrainConfidence(**made, views=10 * self.views, seed=self.seed)),
-            ((home / bank.FILE).is_file(), TrainSurface(**made, views=self.views, device=self.device)),
+            (lambda: is_checkpoint(priors), TrainPrior(**prior, output=priors, **self._time(PRIOR))),
+            (lambda: is_checkpoint(first), TrainNet(**start, output=first, **self._time(FIRST))),
+            (lambda: is_checkpoint(home), TrainNet(**last, output=home, **self._time(LAST))),
+            ((home / confidences.FILE).is_file, TrainConfidence(**made, views=10 * self.views, seed=self.seed)),
+            ((home / bank.FILE).is_file, TrainSurface(**made, views=self.views, device=device)),
         )
         for done, stage in stages:
-            if not done:
+            if processes.from_first(done):
+                continue
+            if processes.first:
                 print(f"{name}: {type(stage).__name__}", file=sys.stderr, flush=True)
+            if isinstance(stage, TrainNet):
                 stage.run()
-        if not results.is_file():
-            data = Views(objects=100, views=self.views, depth_noise="on")
-            write_json(results, EvalPose(category=name, weights=home, data=data).run().record, indent=1)
-        return json.loads(results.read_text())
+            else:
+                processes.alone(stage.run)
+
+        def measured() -> dict[str, Any]:
+            if not results.is_file():
+                data = Views(objects=100, views=self.views, depth_noise="on")
+                write_json(results, EvalPose(category=name, weights=home, data=data).run().record, indent=1)
+            return json.loads(results.read_text())
+
+        return processes.alone(measured)
 
     def _time(self, share: float) -> dict[str, Any]:
         return {"max_minutes": share * self.minutes}

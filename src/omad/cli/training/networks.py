@@ -7,6 +7,8 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
+from tyro.conf import OmitArgPrefixes
+
 import omad
 from omad.common.errors import InputError
 from omad.common.lazy import lazy_imports
@@ -34,16 +36,38 @@ with lazy_imports():
     from omad.evaluation.baselines.ancsh.training import AncshTraining, train_ancsh
     from omad.evaluation.baselines.siamese import SiameseTraining, train_siamese
     from omad.evaluation.confidence import fitting
+    from omad.evaluation.confidence.hands import fit_hand
     from omad.evaluation.confidence.surface_shares import measured_shares
     from omad.model.backbones import BackboneConfig, get_backbone
     from omad.model.checkpoint import Network, find_weights, load, save, shipped_categories, training_record
     from omad.model.omadnet import OmadNet
     from omad.model.priornet import PriorNet
     from omad.training.loop import Schedule
-    from omad.training.processes import start
+    from omad.training.processes import Processes, start
     from omad.training.train_net import NetLossWeights, NetTraining, train_net
     from omad.training.train_prior import PriorTraining, train_prior
     from omad.training.train_surfaces import surface_bank
+
+
+@dataclass(frozen=True)
+class SeveralProcesses:
+    """Work of several processes on several machines."""
+
+    device: Device = "auto"
+    devices: int = 1
+    """Processes on each machine, one an accelerator, that share every batch; on the CPU as many as are asked for. The
+    same command resumes with another number of them. More than one in all need omad[cluster]."""
+    nodes: int = 1
+    """Machines; torchrun or SLURM starts the command on all of them."""
+    accumulate: int = 1
+    """Parts that a process makes its share of a batch in, where memory holds no more at a time."""
+    precision: Literal["float32", "bf16"] = "float32"
+    """Of the backbone on an accelerator: bf16 takes half the memory, and where it is built for it half the time."""
+
+    def start(self) -> Processes:
+        """All of them. Raises InputError."""
+        check_positive(devices=self.devices, nodes=self.nodes, accumulate=self.accumulate)
+        return start(self.devices, self.nodes, self.accumulate, self.device, self.precision)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,29 +99,19 @@ class _Training:
     seed: Seed = 0
     threads: int = 0
     """CPU threads; 0: PyTorch's choice. One is faster than two where another program computes."""
-    device: Device = "auto"
-    devices: int = 1
-    """Processes on each machine, one an accelerator, that share every batch; on the CPU as many as are asked for. The
-    same command resumes with another number of them. More than one in all need omad[cluster]."""
-    nodes: int = 1
-    """Machines; torchrun or SLURM starts the command on all of them."""
-    accumulate: int = 1
-    """Parts that a process makes its share of a batch in, where memory holds no more at a time."""
-    precision: Literal["float32", "bf16"] = "float32"
-    """Of the backbone on an accelerator: bf16 takes half the memory, and where it is built for it half the time."""
+    several: OmitArgPrefixes[SeveralProcesses] = SeveralProcesses()
     json: Json = False
 
     def learn(self, train: Callable[..., Network], preset: Any, **begun: Any) -> Answer:
         """Train with the ``preset``, but for what the options say otherwise, and save it. Raises InputError."""
         asked = {"steps": self.steps, "batch": self.batch, "learning_rate": self.learning_rate}
         check_positive(objects=self.objects, max_minutes=self.max_minutes, save_seconds=self.save_seconds, **asked)
-        check_positive(devices=self.devices, nodes=self.nodes, accumulate=self.accumulate)
         check_seed(self.seed)
         given = {name: value for name, value in asked.items() if value is not None}
         schedule = replace(
             preset.schedule, seed=self.seed, max_minutes=self.max_minutes, save_seconds=self.save_seconds, **given
         )
-        processes = start(self.devices, self.nodes, self.accumulate, self.device, self.precision)
+        processes = self.several.start()
         with processes.heard():
             use_threads(self.threads)
             category = omad.get_category(self.category)
@@ -282,7 +296,8 @@ UNSEEN = 1
 class TrainConfidence(CategoryCommand):
     """Learn how far to believe a network's answers: intervals of joint states, and the probability that an answer is
     right. From views of objects that the network has not seen, spoilt at random, and of other things; a few minutes.
-    Writes confidence.json into the checkpoint folder, in place of what is there."""
+    Where objects may be of either hand, how to tell which is learned first, from as many views and their mirror
+    images. Writes confidence.json into the checkpoint folder, in place of what is there."""
 
     source: str = "procedural"
     """procedural, or a folder of URDF / PartNet-Mobility models; best of such that the network was not trained on."""
@@ -301,8 +316,11 @@ class TrainConfidence(CategoryCommand):
         estimator = self.estimator()
         category = estimator.category
         models = load_models(self.source, category, self.objects, "train", UNSEEN).models
+        if category.either_hand:
+            estimator.hand = fit_hand(estimator, models, self.views, self.seed + 1)
         answers = fitting.answered(estimator, models, self.views, self.seed)
         confidence = fitting.fit(answers, category, fitting.FittedTo(self.source, self.views, omad.__version__))
+        confidence = replace(confidence, hand=estimator.hand)
         confidence.save(folder)
         record = {"checkpoint": str(folder), "views": self.views, **fitting.measured(confidence, answers, category)}
         return Answer(record)

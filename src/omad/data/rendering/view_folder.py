@@ -84,8 +84,8 @@ class _ObjectRecord:
 
 
 @dataclass(frozen=True)
-class _ViewRecord:
-    """The JSON of one view."""
+class ViewRecord:
+    """Where the object of one view is, and its camera where that is its own."""
 
     states: Annotated[np.ndarray, Shape(None)]
     T_camera_base: Annotated[np.ndarray, Shape(4, 4)]
@@ -127,14 +127,18 @@ class ViewFolder:
         return self.views
 
     def __iter__(self) -> Iterator[View]:
-        truths = [_read_truth(self.path / name) for name in self.objects]
-        for index in range(self.views):
+        return self.after(0)
+
+    def after(self, skip: int) -> Iterator[View]:
+        """Without the first so many, which are not read."""
+        truths = [_read_truth(self.path / name) for name in self.objects[: self.views]]
+        for index in range(skip, self.views):
             _, which, number = view_seed(index, len(self.objects), self.seed)
             yield self._read(truths[which], number)
 
     def _read(self, truth: ObjectTruth, number: int) -> View:
         stem = self.path / truth.name / f"{number:05d}"
-        record = read_record(_ViewRecord, stem.with_suffix(".json"), CURE)
+        record = read_record(ViewRecord, stem.with_suffix(".json"), CURE)
         depth = read_depth(stem.with_suffix(".depth.png"), self.depth_scale)
         labels = read_image(file := stem.with_suffix(".labels.png"), file)
         camera = self.camera if record.camera is None else record.camera
@@ -194,7 +198,7 @@ def render_to_folder(
     camera = _camera_record(STANDARD_CAMERA)
     record = {"format": FORMAT, "category": category.name, "camera": camera, "depth_scale": scale, "seed": seed}
     record |= {"noise": asdict(noise) if noise else None, "objects": names}
-    truths = {path / model.name / "object.json": _truth_record(model) for model in models}
+    truths = {path / model.name / "object.json": _truth_record(model) for model in models[:views]}
     if dataset.exists():  # views of other settings or other models are not mixed
         refuse_others(path, {"clutter": False, **_read_json(dataset)}, record | {"clutter": clutter})
         for file, truth in truths.items():

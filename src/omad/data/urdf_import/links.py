@@ -52,7 +52,7 @@ def label_parts(raw: RawArticulation, category: Category) -> list[RawArticulatio
     if rivals:
         count, few = len(set(best.links[1:]).union(*(a.links[1:] for a in rivals))), len(best.links) - 1
         parts = ", ".join(part.name for part in category.parts[1:])
-        raise InputError(f"{count} links fit the part(s) {parts} equally well; a {category.name} has {few}")
+        raise InputError(f"{count} links fit the part(s) {parts} equally well; {category.name} has {few}")
     return [_folded(a, category) for a in found if set(a.links) == set(best.links)]
 
 

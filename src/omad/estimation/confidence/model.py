@@ -6,25 +6,24 @@ checkpoint folder beside the network as ``confidence.json``.
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict, dataclass
 from hashlib import sha256
 from pathlib import Path
 from statistics import NormalDist
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 
 from omad.common.decode import decode
 from omad.common.errors import InputError
 from omad.common.files import write_json
-from omad.common.incoming import read_json
+from omad.common.incoming import read_sealed, sealed
 from omad.objects.category import Category
 
 from .perceptron import Perceptron
 from .signals import IMAGE, JOINT, Signals
 
-FILE, WEIGHTS, CHECKSUM = "confidence.json", "model.safetensors", "sha256"
+FILE, WEIGHTS = "confidence.json", "model.safetensors"
 FORMAT = 1
 RIGHT_ANGLE, RIGHT_SHARE = float(np.radians(10)), 0.1
 """An answer is right where no joint state is farther off: radians, and a share of the object's diagonal."""
@@ -64,6 +63,8 @@ class Confidence:
     right: Perceptron
     """From the signals of image and all joints to the log-odds of a right answer."""
     fitted_to: FittedTo
+    hand: tuple[float, ...] = ()
+    """Of a category whose objects may be of either hand: what ``either_hand.odds`` takes."""
 
     def spreads(self, signals: Signals, category: Category) -> tuple[np.ndarray, np.ndarray]:
         """``state_std`` (B, J), radians or metres, and ``tail`` (B, J) of ``JointEstimate``."""
@@ -79,7 +80,7 @@ class Confidence:
     def save(self, folder: Path) -> None:
         """Put it into a checkpoint folder, whole or not at all. Raises InputError."""
         record = {"format": FORMAT, "weights": _identity(folder), **asdict(self)}
-        write_json(folder / FILE, {CHECKSUM: _digest(record), **record})
+        write_json(folder / FILE, sealed(record))
 
     @classmethod
     def load(cls, folder: Path, category: Category) -> Self | None:
@@ -88,9 +89,7 @@ class Confidence:
         path = folder / FILE
         if not path.exists():
             return None
-        record = read_json(path, CURE)
-        if isinstance(record, dict) and CHECKSUM in record and record.pop(CHECKSUM) != _digest(record):
-            raise InputError(f"{path}: is damaged (its numbers do not give its checksum); {CURE}")
+        record = read_sealed(path, CURE)
         if not isinstance(record, dict) or record.pop("format", None) != FORMAT:
             raise InputError(f"{path}: not a confidence of format {FORMAT}; {CURE}")
         if record.pop("weights", None) != _identity(folder):
@@ -113,11 +112,6 @@ class Confidence:
 def _identity(folder: Path) -> str:
     """Tells the network of a checkpoint folder from others."""
     return sha256((folder / WEIGHTS).read_bytes()).hexdigest()[:16]
-
-
-def _digest(record: dict[str, Any]) -> str:
-    """Of all that a file says, but for its own checksum."""
-    return sha256(json.dumps(record, sort_keys=True).encode()).hexdigest()
 
 
 def joint_inputs(signals: Signals) -> np.ndarray:

@@ -6,7 +6,7 @@ Lengths are in category units; spreads and distances are logarithms, as what mat
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Self
 
 import numpy as np
@@ -45,15 +45,22 @@ class Signals:
     """(B, len(IMAGE))."""
     joint: np.ndarray
     """(B, J, len(JOINT))."""
+    pooled: np.ndarray
+    """(B, pooled) what the network's backbone knew of the cloud in the last look, in the mean over its samples."""
 
     @classmethod
     def none(cls) -> Self:
         """Of no estimation."""
-        return cls(np.zeros((0, len(IMAGE))), np.zeros((0, 0, len(JOINT))))
+        return cls(np.zeros((0, len(IMAGE))), np.zeros((0, 0, len(JOINT))), np.zeros((0, 0)))
 
     def rows(self) -> list[Self]:
         """Each estimate's, batches of one."""
-        return [type(self)(self.image[b : b + 1], self.joint[b : b + 1]) for b in range(len(self.image))]
+        return [type(self)(*(values[b : b + 1] for values in vars(self).values())) for b in range(len(self.image))]
+
+    @classmethod
+    def joined(cls, several: Sequence[Self]) -> Self:
+        """Of all estimates of ``several``."""
+        return cls(*(np.concatenate([getattr(one, field.name) for one in several]) for field in fields(cls)))
 
 
 class Meter:
@@ -127,7 +134,7 @@ class Meter:
             np.log(off @ self._mean_of_part + LEAST),
             np.sqrt(share[:, :-1]),
         ]
-        found = np.stack(image, 1), np.stack(joint, 2)
+        found = np.stack(image, 1), np.stack(joint, 2), each(said.pooled).mean(1)
         return Signals(*map(_finite, found))
 
 

@@ -5,45 +5,38 @@ from dataclasses import replace
 
 import numpy as np
 
-from omad.sensing.observation import Observation
+from omad.common.errors import InputError
 
+from ..confidence.model import CURE, FILE
+from ..confidence.signals import Signals
 from ..estimate import Estimate
-from ..evidence import explanation
-
-CLOSE = 0.35
-"""Difference of the logarithms of two answers' expected errors below which the surfaces are asked, too."""
-EXPLAINED = 4.0
-"""What the share of pixels that a surface explains counts beside them. With both, 97 % of 159 noisy views of microwaves
-that tell the hand are told it, with the expected errors alone 91 %."""
 
 
 def surer_hands(
-    observations: Sequence[Observation],
-    plain: Sequence[Estimate],
-    seen_in_mirror: Sequence[Observation],
-    images: Sequence[Estimate],
-    together: bool,
+    plain: Sequence[Estimate], images: Sequence[Estimate], hand: Sequence[float], together: bool
 ) -> list[Estimate]:
-    """Of each two answers, to an observation and to its mirror image, the one that expects the smaller errors of its
-    keypoints and, where these are close, whose surface explains more of what was seen; of all views ``together`` where
-    they show one object. Both take their time."""
+    """Of each two answers, to an observation and to its mirror image, the one whose object is likelier of the
+    category's hand, as ``odds`` tells, or where there is no ``hand``, the one that expects the smaller errors of its
+    keypoints; of all views ``together`` where they show one object. Both take their time."""
     pairs = list(zip(plain, images, strict=True))
-    against = np.array([[_log_error(estimate) for estimate in pair] for pair in pairs])
-    for row, pair, both in zip(against, pairs, zip(observations, seen_in_mirror, strict=True), strict=True):
-        if abs(row[0] - row[1]) < CLOSE:
-            row -= [
-                EXPLAINED * explanation(seen, estimate).explained for seen, estimate in zip(both, pair, strict=True)
-            ]
+    odds_for = np.array([[_for(estimate, hand) for estimate in pair] for pair in pairs])
     if together:
-        against[:] = against.mean(0)
-    sides = against.argmin(1)
+        odds_for[:] = odds_for.mean(0)
+    sides = odds_for.argmax(1)
     chosen = [image.in_mirror() if side else own for side, (own, image) in zip(sides, pairs, strict=True)]
     return [replace(estimate, seconds=_added(pair)) for estimate, pair in zip(chosen, pairs, strict=True)]
 
 
-def _log_error(estimate: Estimate) -> float:
-    """Of the keypoints' expected errors, the logarithm of the geometric mean."""
-    return float(np.log(estimate.keypoint_std).mean())
+def odds(hand: Sequence[float], signals: Signals) -> np.ndarray:
+    """(B,) log-odds that objects are of the category's hand and not its mirror image: ``hand`` is a linear function of
+    what the backbone knows of the cloud, its constant last. Raises InputError where it is of another backbone."""
+    if len(hand) != signals.pooled.shape[1] + 1:
+        raise InputError(f"{FILE}: field hand: of another network; {CURE}")
+    return signals.pooled @ np.array(hand[:-1]) + hand[-1]
+
+
+def _for(estimate: Estimate, hand: Sequence[float]) -> float:
+    return float(odds(hand, estimate.signals)[0] if hand else -np.log(estimate.keypoint_std).mean())
 
 
 def _added(pair: Sequence[Estimate]) -> dict[str, float]:

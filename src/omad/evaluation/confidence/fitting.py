@@ -65,7 +65,7 @@ def answered(estimator: Estimator, models: Sequence[ObjectModel], views: int, se
         _answer(estimator, some)
         for some in batched(progress(examples(models, category, views, seed), views, every=30.0), BATCH)
     ]
-    signals = Signals(*(np.concatenate([getattr(one.signals, key) for one in found]) for key in ("image", "joint")))
+    signals = Signals.joined([one.signals for one in found])
     return Answers(signals, *(np.concatenate([getattr(one, key) for one in found]) for key in ("errors", "right")))
 
 
@@ -79,8 +79,7 @@ def _answer(estimator: Estimator, shown: Sequence[Example]) -> Answers:
             found = pose_errors(estimate.pose(), true_pose(example.view, category), truth.part_boxes, category)
             errors[number] = found.joint_state / category.state_units
             right[number] = found.right(category, truth.diagonal)
-    image, joint = (np.concatenate([getattr(e.signals, key) for e in estimates]) for key in ("image", "joint"))
-    return Answers(Signals(image, joint), errors, right)
+    return Answers(Signals.joined([estimate.signals for estimate in estimates]), errors, right)
 
 
 def fit(answers: Answers, category: Category, fitted_to: FittedTo) -> Confidence:
@@ -88,8 +87,7 @@ def fit(answers: Answers, category: Category, fitted_to: FittedTo) -> Confidence
     mine = answers.of_category
     if mine.sum() < FEWEST:
         raise InputError(f"views: {mine.sum()} of them show the category, at least {FEWEST} are needed; give more")
-    own = Signals(answers.signals.image[mine], answers.signals.joint[mine])
-    inputs = joint_inputs(own)
+    inputs = joint_inputs(answers.signals)[mine]
     errors = fit_errors(inputs.reshape(-1, inputs.shape[-1]), answers.errors[mine].ravel())
     right = fit_right(image_inputs(answers.signals), answers.right)
     return Confidence(category.name, IMAGE, JOINT, errors, right, fitted_to)

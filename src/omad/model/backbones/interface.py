@@ -25,6 +25,10 @@ class Backbone(nn.Module):
 
     config: BackboneConfig
 
+    def pooled(self, points: Tensor) -> Tensor:
+        """(B, pooled) alone, where that is less work."""
+        return self(points).pooled
+
 
 @dataclass(frozen=True)
 class BackboneConfig:

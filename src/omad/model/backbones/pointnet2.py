@@ -131,9 +131,18 @@ class PointNet2(Backbone):
         """points (B, N, 3) in random order, category units, centred near the origin."""
         n1, n2 = self.config.centres
         points1, points2 = points[:, :n1], points[:, :n2]
-        features1 = self.abstraction1(points, None, n1)
-        features2 = self.abstraction2(points1, features1, n2)
-        pooled = self.global_residual(self.global_layers(torch.cat([features2, points2], -1)).amax(1))
+        features1, features2, pooled = self._abstracted(points)
         features2 = self.fuse2(pooled[:, None], features2)
         dense = self.fuse1(features2, features1, partial(interpolate, points1, points2))
         return Features(centres=points1, dense=self.dense_residual(dense), pooled=pooled)
+
+    def pooled(self, points: Tensor) -> Tensor:
+        return self._abstracted(points)[2]
+
+    def _abstracted(self, points: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Features of the first and of the second centres, and of the whole."""
+        n1, n2 = self.config.centres
+        features1 = self.abstraction1(points, None, n1)
+        features2 = self.abstraction2(points[:, :n1], features1, n2)
+        pooled = self.global_residual(self.global_layers(torch.cat([features2, points[:, :n2]], -1)).amax(1))
+        return features1, features2, pooled

@@ -60,14 +60,6 @@ class Manifest:
             raise ValueError("files: are too large together; give a checkpoint")
 
 
-def address_of(weights: str | Path) -> str | None:
-    """The address that weights are at; None for what is none, as a folder. A path forgets one of two slashes."""
-    found = re.match(r"([A-Za-z][\w+.-]+):/+", str(weights))
-    if found is None:
-        return None
-    return f"{found[1]}://{'/' if found[1] == 'file' else ''}{str(weights)[found.end() :]}"
-
-
 def fetch(address: str) -> Path:
     """The folder in the user's cache that holds the checkpoint at an address. What is there already is not fetched
     again; where the address cannot be reached, it is used as it is. Raises InputError for what cannot be fetched, is

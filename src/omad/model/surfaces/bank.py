@@ -16,7 +16,7 @@ from omad.common.arrays import as_numpy, digest_of
 from omad.common.decode import Shape
 from omad.common.errors import InputError
 from omad.common.files import write_atomic
-from omad.common.incoming import read_arrays, readable
+from omad.common.incoming import CHECKSUM, check_seal, read_arrays, readable
 from omad.data.procedural import generate
 from omad.geometry.mesh import Mesh
 from omad.objects.category import Category
@@ -26,7 +26,7 @@ from ..prior import OmadPrior
 from .shares import Shares
 from .template import Template
 
-FILE, CHECKSUM = "surfaces.npz", "sha256"
+FILE = "surfaces.npz"
 """What a bank is called, in the folder of a checkpoint."""
 REMEMBERED = 256
 """Templates that are kept once they are made."""
@@ -104,8 +104,8 @@ class ShapeBank:
         arrays = read_arrays(path, "a bank of surfaces", cure)
         with readable(path, "a bank of surfaces", cure):
             assert isinstance(arrays, dict)
-            if CHECKSUM in arrays and str(arrays.pop(CHECKSUM)) != digest_of(arrays):
-                raise InputError(f"{path}: is damaged (its numbers do not give its checksum); {cure}")
+            if CHECKSUM in arrays:
+                check_seal(str(arrays.pop(CHECKSUM)), digest_of(arrays), path, cure)
             wanted = Shape(None, category.num_keypoints, 3)
             known, basis = wanted.array(arrays["keypoints"]).astype(np.float32), arrays["basis"]
             meshes, shares = _meshes(arrays, len(category.parts)), Shares.among(arrays, len(category.joints))

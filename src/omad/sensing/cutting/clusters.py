@@ -7,7 +7,8 @@ from typing import Self
 import numpy as np
 from scipy.spatial import KDTree
 
-from omad.common.compiled import inner, jit
+from omad.common.compiled import jit
+from omad.geometry.disjoint_sets import join, numbered
 
 VOXEL = 0.02
 """Cluster resolution as a share of the median distance: what is nearer than about twice this is one thing."""
@@ -118,22 +119,5 @@ def _touching(keys, steps, dense):
             while other < len(keys) and keys[other] < keys[i] + step:
                 other += 1
             if other < len(keys) and keys[other] == keys[i] + step and dense[i] and dense[other]:
-                a, b = _root(root, i), _root(root, other)
-                root[max(a, b)] = min(a, b)
-    labels, things = np.empty_like(root), 0
-    for i in range(len(keys)):
-        first = _root(root, i)
-        if first == i:
-            labels[i] = things
-            things += 1
-        else:
-            labels[i] = labels[first]
-    return labels
-
-
-@inner
-def _root(root, i):
-    while root[i] != i:
-        root[i] = root[root[i]]
-        i = root[i]
-    return i
+                join(root, i, other)
+    return numbered(root)

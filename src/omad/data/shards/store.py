@@ -8,7 +8,7 @@ from typing import Any, BinaryIO, cast
 
 from omad.common.errors import InputError
 from omad.common.files import make_folder, one_line, write_atomic
-from omad.model.storage.fetched import address_of
+from omad.common.incoming import address_of
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Puts the baselines' weights of the checkout into the wheel."""
+"""Puts those weights of the checkout into a wheel that its ``patterns`` name, but for its ``without``."""
 
 from pathlib import Path
 from typing import Any
@@ -8,8 +8,9 @@ from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 WEIGHTS = Path("omad/model/weights")
 
 
-class CollectBaselines(BuildHookInterface):
+class CollectWeights(BuildHookInterface):
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
         source = Path(self.root).parents[1] / "src" / WEIGHTS
-        for folder in (*source.glob("*/ancsh"), *source.glob("*/siamese")):
+        named = {folder for pattern in self.config["patterns"] for folder in source.glob(pattern) if folder.is_dir()}
+        for folder in sorted(named - {source / name for name in self.config.get("without", [])}):
             build_data["force_include"][str(folder)] = str(WEIGHTS / folder.relative_to(source))

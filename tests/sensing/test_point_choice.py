@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from omad.model.network_input import sample_clouds
-from omad.model.point_choice import CELLS_SEEN, choose_points
 from omad.objects.category_file import get_category
 from omad.sensing.observation import Observation
+from omad.sensing.point_choice import CELLS_SEEN, choose_points
 
 
 def cloud_of_cells(per_cell: np.ndarray, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:

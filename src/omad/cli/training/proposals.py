@@ -1,0 +1,92 @@
+"""``omad train proposals``: the network that proposes categories."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import omad
+from omad.common.errors import InputError
+from omad.common.lazy import lazy_imports
+
+from ..answer import Answer
+from ..options import Device, Json, Seed, check_positive, check_seed, generable, use_threads
+
+with lazy_imports():
+    from omad.common.runtime import pick_device
+    from omad.data.source import load_models
+    from omad.model.backbones import BackboneConfig
+    from omad.model.checkpoint import find_weights, load, save
+    from omad.model.omadnet import OmadNet
+    from omad.model.proposals import network
+    from omad.training.train_proposals import ProposalTraining, train_proposals
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainProposals:
+    """Train the network that proposes categories, on views of their procedural objects and of things of none of them,
+    so that few are fitted where many are possible. A category that it does not know is always fitted."""
+
+    output: Path
+    """Folder for the checkpoint, the state to resume from, and the metrics. The same command resumes."""
+    categories: tuple[str, ...] = ()
+    """Default: all that can be generated."""
+    objects: int = 400
+    """Procedural objects a category."""
+    strangers: int = 1500
+    """Things of none of them."""
+    features: str = "laptop"
+    """OMADNet checkpoint, or a category with weights, whose knowledge of clouds it begins with; nothing: with none."""
+    initial: str | None = None
+    """Checkpoint to start from in place of that, or shipped: also one that knows other categories, where some are
+    added, say."""
+    steps: int | None = None
+    """Optimiser steps; default: the preset's."""
+    batch: int | None = None
+    """Samples a step; default: the preset's."""
+    learning_rate: float | None = None
+    """Peak learning rate; default: the preset's. A third of it serves for --initial."""
+    max_minutes: float | None = None
+    """Finish within this time, learning-rate decay and all."""
+    save_seconds: float = 60.0
+    """How often the state to resume from is written; on Ctrl-C and SIGTERM it is, too."""
+    seed: Seed = 0
+    threads: int = 0
+    """CPU threads; 0: PyTorch's choice. One is faster than two where another program computes."""
+    device: Device = "auto"
+    json: Json = False
+
+    def run(self) -> Answer:
+        asked = {"steps": self.steps, "batch": self.batch, "learning_rate": self.learning_rate}
+        counts = {"objects": self.objects, "strangers": self.strangers, "max_minutes": self.max_minutes}
+        check_positive(**counts, save_seconds=self.save_seconds, **asked)
+        check_seed(self.seed)
+        use_threads(self.threads)
+        names = generable(self.categories)
+        preset = ProposalTraining()
+        given = {name: value for name, value in asked.items() if value is not None}
+        limits = {"seed": self.seed, "max_minutes": self.max_minutes, "save_seconds": self.save_seconds}
+        schedule = replace(preset.schedule, **limits, **given)
+        categories = [omad.get_category(name) for name in names]
+        models = [load_models("procedural", one, self.objects, "train", 0).models for one in categories]
+        settings = replace(preset, schedule=schedule, strangers=self.strangers)
+        device, begun = pick_device(self.device), self._begun(settings.backbone)
+        net = train_proposals(models, categories, self.output, settings, device, **begun)
+        made_of = {name: getattr(self, name) for name in ("objects", "strangers", "features", "initial")}
+        save(net, self.output, made_of | {"schedule": asdict(schedule), "version": omad.__version__})
+        return Answer({"checkpoint": str(self.output), "categories": list(names)})
+
+    def _begun(self, backbone: BackboneConfig) -> dict[str, Any]:
+        """What it begins with, as ``train_proposals`` takes it."""
+        if self.initial is not None:
+            folder = network.WEIGHTS if self.initial == "shipped" else Path(self.initial)
+            found: dict[str, Any] = {"initial": load(network.ProposalNet, folder)}
+        elif self.features != "nothing":
+            found = {"features": load(OmadNet, find_weights(self.features))}
+        else:
+            return {}
+        [(name, net)] = found.items()
+        if net.backbone.config != backbone:
+            raise InputError(f"--{name} {getattr(self, name)}: is of another size; give one of the size slim")
+        return found

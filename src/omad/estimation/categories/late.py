@@ -1,0 +1,68 @@
+"""Estimators that load their weights when they are first asked: of many categories, few are."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Self, TypeAlias, overload
+
+from omad.model.checkpoint import category_of, find_weights, load_part, shipped_categories
+from omad.model.omadnet import OmadNet
+from omad.model.prior import OmadPrior
+from omad.objects.category import Category
+from omad.sensing.observation import Observation
+
+from ..estimate import Estimate
+from ..estimator import NOTHING_KNOWN, Estimator
+from ..known import Known
+
+
+@dataclass(frozen=True)
+class LateEstimator:
+    """Stands for an estimator; what it is of is known before its weights are loaded."""
+
+    category: Category
+    """What it estimates."""
+    folder: Path
+    """Of its checkpoint."""
+    device: str
+    """Where its network runs."""
+
+    @classmethod
+    def of(cls, weights: str | Path, device: str = "cpu") -> Self:
+        """That of a category with shipped weights, or of a checkpoint folder. Raises InputError."""
+        folder = find_weights(weights)
+        return cls(category_of(OmadNet, folder), folder, device)
+
+    @cached_property
+    def loaded(self) -> Estimator:
+        """The estimator itself."""
+        return Estimator.from_pretrained(self.folder, self.device)
+
+    @cached_property
+    def prior(self) -> OmadPrior:
+        """Its network's prior, for which no more of the weights is loaded."""
+        return load_part(OmadPrior(self.category), "prior.", self.folder)
+
+    @property
+    def net(self) -> OmadNet:
+        """Its network."""
+        return self.loaded.net
+
+    @overload
+    def __call__(self, observation: Observation, known: Known = NOTHING_KNOWN) -> Estimate: ...
+    @overload
+    def __call__(self, observation: Sequence[Observation], known: Known = NOTHING_KNOWN) -> list[Estimate]: ...
+    def __call__(
+        self, observation: Observation | Sequence[Observation], known: Known = NOTHING_KNOWN
+    ) -> Estimate | list[Estimate]:
+        """As ``Estimator`` does."""
+        return self.loaded(observation, known)
+
+
+AnyEstimator: TypeAlias = Estimator | LateEstimator
+
+
+def shipped_estimators(device: str = "cpu") -> list[LateEstimator]:
+    """Those of all categories with shipped weights."""
+    return [LateEstimator.of(name, device) for name in shipped_categories()]

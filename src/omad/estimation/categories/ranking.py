@@ -1,0 +1,134 @@
+"""Which category an object is of: one look proposes a few, those are fitted, and ranked by how well their estimates
+explain what was seen.
+
+The score is linear in what speaks against a category, by how much it is more than usual where that category is right
+(``usual.json``: networks differ in how sure they are, shapes in how much of them is seen), and in what the look says.
+All was fitted to unseen views of training objects and of strangers by maximum likelihood
+(``benchmarks/bench_auto_category.py --what fit``), the weights the same for every category.
+"""
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.special import softmax
+
+from omad.model.proposals.network import Proposer, shipped_proposer
+from omad.sensing.observation import Observation
+
+from ..checks import Check
+from ..estimate import Estimate
+from ..evidence import Evidence, explanation, measure_evidence
+from ..known import Known
+from .late import AnyEstimator
+from .proposals import Proposals
+
+USUAL = Path(__file__).with_name("usual.json")
+LOG_ODDS = np.array([0.0, 1.3, 2.1, 1.5, 52.0, 4.8, 3.5, 8.3])
+"""Per unit of what speaks ``against`` a category, in its order."""
+PROPOSED = 1.1
+"""Per unit of the look's log-odds of none over a category."""
+OFFSET = 3.4
+"""Log-odds of a category over none where no more than usual speaks against it, and the look takes it for as likely."""
+SURE = 0.8
+"""Probability from which on another category is suspected."""
+
+
+def against(observation: Observation, estimate: Estimate, evidence: Evidence) -> np.ndarray:
+    """(8,) the evidence, and the shares of pixels that the surface does not explain: where it is in front of what was
+    seen, behind it, and missing."""
+    found = explanation(observation, estimate)
+    return np.append(evidence.values, [found.in_front, found.behind, found.missing])
+
+
+@cache
+def usual(name: str) -> np.ndarray:
+    """(8,) what speaks ``against`` a category where it is right; the mean of others for one that was not fitted."""
+    known = json.loads(USUAL.read_text(encoding="utf-8"))
+    return np.array(known[name]) if name in known else np.mean(list(known.values()), axis=0)
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One category's explanation of an observation."""
+
+    estimate: Estimate
+    """The category's answer."""
+    evidence: Evidence
+    """What speaks against it."""
+    score: float
+    """Log-odds up to a constant; higher is better."""
+    probability: float
+    """That it is of this category rather than of another candidate's, or of none."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Name, score and probability, as plain values."""
+        name = self.estimate.category.name
+        return {"category": name, "score": round(self.score, 3), "probability": round(self.probability, 4)}
+
+
+@dataclass(frozen=True)
+class Ranking:
+    """What an observation may be of."""
+
+    candidates: tuple[Candidate, ...]
+    """Likeliest first; none where no category gives an answer."""
+    none: float
+    """Probability that it is of none of the categories that can be fitted."""
+
+    @property
+    def is_none(self) -> bool:
+        """Whether that is likeliest."""
+        return not self.candidates or self.none > self.candidates[0].probability
+
+    def to_dict(self) -> dict[str, Any]:
+        """As JSON has it."""
+        return {"categories": [candidate.to_dict() for candidate in self.candidates], "none": round(self.none, 4)}
+
+
+def rank(
+    observation: Observation,
+    estimators: Sequence[AnyEstimator],
+    known: Known | None = None,
+    always: Sequence[str] = (),
+    propose: Proposer | None = None,
+) -> Ranking:
+    """Explanations by those of the estimators' categories that one look proposes, and by those that are to be fitted
+    ``always``; without those whose answers are no numbers, as of a cloud many times larger than the category.
+    ``propose``: the look; default: the shipped one."""
+    by_name = {estimator.category.name: estimator for estimator in estimators}
+    [look] = (propose or shipped_proposer())([observation])
+    proposals = Proposals.of(look, list(by_name))
+    names = dict.fromkeys([*always, *proposals.worth_fitting(list(by_name))])
+    rows = [(by_name[name](observation, known or Known()), by_name[name].net.prior) for name in names]
+    rows = [(estimate, prior) for estimate, prior in rows if estimate.is_finite]
+    if not rows:
+        return Ranking((), 1.0)
+    estimates = [estimate for estimate, _ in rows]
+    evidence = [measure_evidence(observation, estimate, prior) for estimate, prior in rows]
+    fitted = [estimate.category.name for estimate in estimates]
+    each = zip(estimates, evidence, fitted, strict=True)
+    numbers = [against(observation, estimate, seen) - usual(name) for estimate, seen, name in each]
+    doubts = [proposals.doubt(name) for name in fitted]
+    scores = OFFSET - np.array(numbers) @ LOG_ODDS - PROPOSED * np.array(doubts)
+    scores[~np.isfinite(scores)] = -np.inf  # where a number is missing
+    shares = softmax([*scores, 0.0])
+    found = map(Candidate, estimates, evidence, scores.tolist(), shares[:-1].tolist())
+    return Ranking(tuple(sorted(found, key=lambda candidate: -candidate.score)), float(shares[-1]))
+
+
+def suspected(estimate: Estimate, ranking: Ranking) -> list[Check]:
+    """The category that explains the observation much better than the estimate's own."""
+    if not ranking.candidates:
+        return []
+    best, name = ranking.candidates[0], estimate.category.name
+    other = best.estimate.category.name
+    if other == name or best.probability < SURE:
+        return []
+    what = f"{other} explains what was seen better than {name} (probability {best.probability:.2f})"
+    why, cure = f"the object may be no {name}", f"try --category {other}, or --category auto"
+    return [Check("category", what, why, cure)]

@@ -1,0 +1,1 @@
+"""Which categories a cloud may be of, from one quick look."""

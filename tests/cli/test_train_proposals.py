@@ -1,0 +1,31 @@
+"""``omad train proposals`` on the command line."""
+
+import pytest
+
+from helpers.command_line import answer, refused
+from omad.model.checkpoint import load, training_record
+from omad.model.proposals.network import ProposalNet
+
+TINY = ["train", "proposals", "--output", "run", "--objects", "1", "--strangers", "3", "--steps", "1", "--batch", "2"]
+
+
+@pytest.fixture(autouse=True)
+def elsewhere(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+def test_a_checkpoint_knows_what_it_was_trained_for(capsys, tmp_path):
+    found = answer(capsys, *TINY, "--categories", "laptop", "jar", "--device", "cpu")
+    assert found == {"checkpoint": "run", "categories": ["laptop", "jar"]}
+    assert load(ProposalNet, tmp_path / "run").names == ("laptop", "jar")
+    assert training_record(ProposalNet, tmp_path / "run")["features"] == "laptop"
+    more = [*TINY, "--categories", "jar", "safe", "--initial", "shipped", "--device", "cpu"]
+    assert "another --output" in refused(capsys, *more)
+    more[more.index("run")] = "more"
+    assert answer(capsys, *more)["categories"] == ["jar", "safe"]
+
+
+def test_what_cannot_be_is_refused(capsys):
+    assert "submarine" in refused(capsys, *TINY, "--categories", "submarine")
+    assert "nowhere" in refused(capsys, *TINY, "--initial", "nowhere")
+    assert "--strangers" in refused(capsys, *TINY[:-6], "--strangers", "0")
