@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from ..answer import Answer, table
 from ..evaluate import EvalPose
 from ..options import Json, Seed, Views, check_positive, generable
 from .networks import SeveralProcesses, TrainConfidence, TrainNet, TrainPrior, TrainSurface
+from .schedule import ScheduleOptions
 
 with lazy_imports():
     from omad.estimation.confidence import model as confidences
@@ -70,18 +71,21 @@ class TrainAll:
         """What is measured of a category, once it is trained: its networks by all ``processes``, the rest by one."""
         home = self.output / name
         priors, first, results = home / "prior", home / "first", home / RESULTS
-        made: dict[str, Any] = {"category": name, "objects": self.objects, "threads": self.threads}
-        learning, device = made | {"seed": self.seed, "steps": self.steps}, self.several.device
-        prior = learning | {"several": SeveralProcesses(device)}
-        net = learning | {"prior": priors, "clutter": True, "batch": self.batch, "steps": self.steps or 10**7}
-        net |= {"several": self.several}
-        start = net | {"features": None if self.features == "nothing" else self.features}
-        last = net | {"refinement_loss": 6.0, "learning_rate": 1e-3, "initial": str(first)}
-        made |= {"weights": home}
+        made: dict[str, Any] = {"category": name, "objects": self.objects}
+        device = self.several.device
+        long = ScheduleOptions(steps=self.steps, seed=self.seed, threads=self.threads)
+        longer = replace(long, batch=self.batch, steps=self.steps or 10**7)
+        prior: dict[str, Any] = made | {"schedule": self._within(PRIOR, long), "several": SeveralProcesses(device)}
+        net: dict[str, Any] = made | {"prior": priors, "clutter": True, "several": self.several}
+        start: dict[str, Any] = net | {"features": None if self.features == "nothing" else self.features}
+        start |= {"schedule": self._within(FIRST, longer)}
+        last: dict[str, Any] = net | {"refinement_loss": 6.0, "initial": str(first)}
+        last |= {"schedule": self._within(LAST, replace(longer, learning_rate=1e-3))}
+        made |= {"weights": home, "threads": self.threads}
         stages = (
-            (lambda: is_checkpoint(priors), TrainPrior(**prior, output=priors, **self._time(PRIOR))),
-            (lambda: is_checkpoint(first), TrainNet(**start, output=first, **self._time(FIRST))),
-            (lambda: is_checkpoint(home), TrainNet(**last, output=home, **self._time(LAST))),
+            (lambda: is_checkpoint(priors), TrainPrior(**prior, output=priors)),
+            (lambda: is_checkpoint(first), TrainNet(**start, output=first)),
+            (lambda: is_checkpoint(home), TrainNet(**last, output=home)),
             ((home / confidences.FILE).is_file, TrainConfidence(**made, views=10 * self.views, seed=self.seed)),
             ((home / bank.FILE).is_file, TrainSurface(**made, views=self.views, device=device)),
         )
@@ -103,8 +107,8 @@ class TrainAll:
 
         return processes.alone(measured)
 
-    def _time(self, share: float) -> dict[str, Any]:
-        return {"max_minutes": share * self.minutes}
+    def _within(self, share: float, schedule: ScheduleOptions) -> ScheduleOptions:
+        return replace(schedule, max_minutes=share * self.minutes)
 
 
 def all_text(answer: dict[str, Any]) -> str:

@@ -23,10 +23,10 @@ from ..options import (
     Seed,
     check_category,
     check_positive,
-    check_seed,
     load_prior,
     use_threads,
 )
+from .schedule import ScheduleOptions
 
 with lazy_imports():
     from omad.common.runtime import pick_device
@@ -86,34 +86,16 @@ class _Training:
     """Models of your own, where they are fewer, are varied until there are so many: stretched, with other proportions,
     with parts of each other. 0: train on them alone."""
     broken: BrokenFiles = "refuse"
-    steps: int | None = None
-    """Optimiser steps; default: the preset's."""
-    batch: int | None = None
-    """Samples a step, of all processes together; default: the preset's."""
-    learning_rate: float | None = None
-    """Peak learning rate; default: the preset's. Half of it serves for fine-tuning."""
-    max_minutes: float | None = None
-    """Finish within this time, learning-rate decay and all."""
-    save_seconds: float = 60.0
-    """How often the state to resume from is written; on Ctrl-C and SIGTERM it is, too."""
-    seed: Seed = 0
-    threads: int = 0
-    """CPU threads; 0: PyTorch's choice. One is faster than two where another program computes."""
+    schedule: OmitArgPrefixes[ScheduleOptions] = ScheduleOptions()
     several: OmitArgPrefixes[SeveralProcesses] = SeveralProcesses()
     json: Json = False
 
     def learn(self, train: Callable[..., Network], preset: Any, **begun: Any) -> Answer:
         """Train with the ``preset``, but for what the options say otherwise, and save it. Raises InputError."""
-        asked = {"steps": self.steps, "batch": self.batch, "learning_rate": self.learning_rate}
-        check_positive(objects=self.objects, max_minutes=self.max_minutes, save_seconds=self.save_seconds, **asked)
-        check_seed(self.seed)
-        given = {name: value for name, value in asked.items() if value is not None}
-        schedule = replace(
-            preset.schedule, seed=self.seed, max_minutes=self.max_minutes, save_seconds=self.save_seconds, **given
-        )
+        check_positive(objects=self.objects)
+        schedule = self.schedule.of(preset.schedule)
         processes = self.several.start()
         with processes.heard():
-            use_threads(self.threads)
             category = omad.get_category(self.category)
             models = load_objects(self.source, category, self.objects, "train", 0, self.broken, self.variants)
             begun |= {"folder": self.output, "settings": replace(preset, schedule=schedule), "processes": processes}

@@ -6,12 +6,15 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from tyro.conf import OmitArgPrefixes
+
 import omad
 from omad.common.errors import InputError
 from omad.common.lazy import lazy_imports
 
 from ..answer import Answer
-from ..options import Device, Json, Seed, check_positive, check_seed, generable, use_threads
+from ..options import Device, Json, check_positive, generable
+from .schedule import ScheduleOptions
 
 with lazy_imports():
     from omad.common.runtime import pick_device
@@ -41,33 +44,15 @@ class TrainProposals:
     initial: str | None = None
     """Checkpoint to start from in place of that, or shipped: also one that knows other categories, where some are
     added, say."""
-    steps: int | None = None
-    """Optimiser steps; default: the preset's."""
-    batch: int | None = None
-    """Samples a step; default: the preset's."""
-    learning_rate: float | None = None
-    """Peak learning rate; default: the preset's. A third of it serves for --initial."""
-    max_minutes: float | None = None
-    """Finish within this time, learning-rate decay and all."""
-    save_seconds: float = 60.0
-    """How often the state to resume from is written; on Ctrl-C and SIGTERM it is, too."""
-    seed: Seed = 0
-    threads: int = 0
-    """CPU threads; 0: PyTorch's choice. One is faster than two where another program computes."""
+    schedule: OmitArgPrefixes[ScheduleOptions] = ScheduleOptions()
     device: Device = "auto"
     json: Json = False
 
     def run(self) -> Answer:
-        asked = {"steps": self.steps, "batch": self.batch, "learning_rate": self.learning_rate}
-        counts = {"objects": self.objects, "strangers": self.strangers, "max_minutes": self.max_minutes}
-        check_positive(**counts, save_seconds=self.save_seconds, **asked)
-        check_seed(self.seed)
-        use_threads(self.threads)
+        check_positive(objects=self.objects, strangers=self.strangers)
         names = generable(self.categories)
         preset = ProposalTraining()
-        given = {name: value for name, value in asked.items() if value is not None}
-        limits = {"seed": self.seed, "max_minutes": self.max_minutes, "save_seconds": self.save_seconds}
-        schedule = replace(preset.schedule, **limits, **given)
+        schedule = self.schedule.of(preset.schedule)
         categories = [omad.get_category(name) for name in names]
         models = [load_models("procedural", one, self.objects, "train", 0).models for one in categories]
         settings = replace(preset, schedule=schedule, strangers=self.strangers)
