@@ -351,6 +351,12 @@ def test_outputs_that_cannot_be_written(command, output, capsys):
     assert Path("mine").read_text() == "keep me"
 
 
+@pytest.mark.parametrize("command", ["figure keypoints --categories laptop", "demo --objects 1 --category laptop"])
+def test_a_file_name_for_a_folder_of_output_is_refused(command, capsys):
+    assert "picture.png" in refused(capsys, *command.split(), "--output", "picture.png")
+    assert not Path("picture.png").exists()
+
+
 def test_pictures_that_cannot_be_written_are_refused_before_the_work(capsys):
     Path("mine").write_text("keep me")
     for command in ("pose", "robustness"):

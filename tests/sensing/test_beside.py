@@ -10,6 +10,7 @@ import pytest
 from helpers.command_line import LAPTOP, K, answer, laptop_view, refused, save_png
 from omad.cli.main import run
 from omad.estimation.estimator import Estimator
+from omad.estimation.known import Known
 from omad.objects.category_file import get_category
 from omad.sensing.beside import Beside, is_companion
 from omad.sensing.cutting.angles import angle_doubts
@@ -127,3 +128,23 @@ def test_right_focal_lengths_are_hardly_ever_doubted(name):
         seen = view.observation()
         doubted.append(bool(camera_doubts(seen, estimator(seen), estimator)))
     assert np.mean(doubted) <= 0.1
+
+
+@pytest.mark.parametrize("name", ["laptop", "drawer"])
+def test_gravity_that_the_object_contradicts_is_doubted_and_the_right_one_is_not(name):
+    from omad.data.procedural import generate
+    from omad.data.rendering.depth_noise import LEVELS
+    from omad.data.rendering.standard_views import standard_view
+    from omad.estimation.checks import gravity_doubts
+
+    estimator, category = Estimator.from_pretrained(name), get_category(name)
+    right, wrong = [], []
+    for i in range(10):
+        view = standard_view(generate(category, 50 + i, "test"), category, (7, i), LEVELS["on"])
+        seen, down = view.observation(), -view.T_camera_base[:3, 1]
+        aside = np.cross(down, [0.0, 0.0, 1.0])
+        for gravity, doubted in ((down, right), (down + np.tan(np.radians(18)) * aside / np.linalg.norm(aside), wrong)):
+            known = Known(gravity=gravity)
+            doubted.append(bool(gravity_doubts(seen, estimator(seen, known), known, estimator)))
+    assert sum(right) <= 1
+    assert sum(wrong) >= 9

@@ -10,7 +10,7 @@ import numpy as np
 from omad.common.errors import InputError
 from omad.estimation.categories.late import AnyEstimator
 from omad.estimation.categories.ranking import Ranking, rank, suspected
-from omad.estimation.checks import Check, camera_doubts, doubts, is_doubtful
+from omad.estimation.checks import Check, camera_doubts, doubts, gravity_doubts, is_doubtful
 from omad.estimation.estimate import Estimate
 from omad.estimation.estimator import Estimator
 from omad.estimation.known import Known
@@ -96,6 +96,7 @@ class Solver:
             raise InputError(f"no answer: {checks[0]}")
         if not further:
             return Found(estimate, checks)
+        checks += gravity_doubts(observation, estimate, self.known, chosen)
         if not checks:
             checks += camera_doubts(observation, estimate, lambda views: chosen(views, self.known))
         odd_size = any(check.name == "size" for check in checks)  # of which every category says anything

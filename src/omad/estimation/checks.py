@@ -11,6 +11,7 @@ from omad.sensing.observation import Observation
 
 from .estimate import Estimate
 from .evidence import explanation
+from .known import Known
 
 USUAL_SIZE = 2.5
 """Diagonal of an object's cloud in category units; 1.5 to 4 in standard views."""
@@ -32,6 +33,9 @@ BETTER = 1.5
 UNEXPLAINED = 0.25
 """Share of the pixels of object and surface where the one is where the other is, 0.7 in a usual view, below which they
 are of two things."""
+TILTED, TELLING = 10.0, 0.8
+"""Degrees by which objects seem to lean at most that do not (98 % of noisy views of most categories: 3 to 6), and the
+probability from which on an answer is believed in that."""
 CUT_OFF = 0.1
 """Pixels at one border of the image from which on the object runs out of it, as a share of its width in pixels."""
 
@@ -144,6 +148,27 @@ def camera_doubts(
             f"{what} is about {likely} instead of {camera.fx:.0f} pixels",
             "the intrinsics may be those of another size of the image, or of another camera",
             f"give those of the depth image at {camera.width}x{camera.height}",
+        )
+    ]
+
+
+def gravity_doubts(
+    observation: Observation, estimate: Estimate, known: Known, estimator: Callable[[Observation, Known], Estimate]
+) -> list[Check]:
+    """Where the object seems to stand otherwise than the ``known`` gravity says. ``estimator`` is asked once more,
+    without it."""
+    if known.gravity is None:
+        return []
+    free = estimator(observation, replace(known, gravity=None))
+    off = np.degrees(np.arccos(np.clip(estimate.T_camera_base[:3, 1] @ free.T_camera_base[:3, 1], -1, 1)))
+    if off <= TILTED or (free.probability or 1.0) < TELLING:
+        return []
+    return [
+        Check(
+            "gravity",
+            f"without the gravity that was given the {estimate.category.name} stands {off:.0f} degrees otherwise",
+            "the direction may be another one in the camera's frame, or the object does not stand upright",
+            "give the direction in which things fall, x right, y down, z forward; or leave it out",
         )
     ]
 
