@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import omad
-from omad.applications.detection.cutting import ObjectFinder, measured_margin
-from omad.applications.detection.detector import Detector
+from omad.applications.detection.cutting import ObjectFinder
+from omad.applications.detection.detector import Detector, measured_margin
 from omad.common.errors import NothingSeen
 from omad.data.rendering.depth_noise import ON
 from omad.data.rendering.tabletop import Placed, Tabletop, draw_tabletop
@@ -93,3 +93,10 @@ def test_an_object_that_was_cut_out_already_is_left_as_it_is() -> None:
     assert len(finder("eyeglasses")(alone, box).points) == len(alone.points)
     assert measured_margin(frame(0)) > 0.5
     assert measured_margin(Observation.from_points(alone.points)) == 0
+
+
+def test_an_object_that_was_cut_out_already_is_found_in_the_frame_that_shows_it_alone() -> None:
+    placed = next(placed for placed in scene(1).objects if placed.category == "laptop")
+    alone = Observation.from_depth(np.where(placed.mask, scene(1).depth, 0), scene(1).camera)
+    found = Detector([omad.Estimator.from_pretrained("laptop")])(alone)
+    assert [one.category for one in found] == ["laptop"]

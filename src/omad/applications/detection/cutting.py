@@ -9,12 +9,12 @@ from omad.common.errors import NothingSeen
 from omad.estimation.checks import USUAL_SIZE, wrong_scale
 from omad.sensing.observation import Observation
 
-from .detector import SURE, Detection, Detector
+from .detector import SURE, TOUCHED, Detection, Detector, measured_margin
 from .judgement import ODD_SIZE, size_ratio
 
-MARGIN, MEASURED, TOUCHED = 0.05, 0.4, 0.02
-"""A margin as wide as this share of the image; the share of it that is measured in frames that show more than an
-object, and in those that show things too large for one."""
+MEASURED = 0.4
+"""Share of the margin that is measured in frames that show more than an object; ``TOUCHED`` in those that show things
+too large for one."""
 LIKELY = 0.2
 """A thing less likely than this is not taken for the object, unless a box says so."""
 
@@ -60,18 +60,6 @@ class ObjectFinder:
             told = f"more than one {names} is seen: the likeliest was taken, others are in the boxes {places}"
             doubts.append(f"{told}; omad detect gives them all, a box the one that is meant")
         return best.observation.warned(*doubts)
-
-
-def measured_margin(frame: Observation) -> float:
-    """Share of a depth image's margin that is measured; 0 of a bare cloud. An object that was cut out already hardly
-    reaches it."""
-    if frame.mask is None:
-        return 0.0
-    height, width = frame.mask.shape
-    down, across = max(int(MARGIN * height), 1), max(int(MARGIN * width), 1)
-    inner = frame.mask[down : height - down, across : width - across]
-    seen = np.count_nonzero(frame.mask) - np.count_nonzero(inner)
-    return seen / (frame.mask.size - inner.size)
 
 
 def _likelihood(thing: Detection) -> float:

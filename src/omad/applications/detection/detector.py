@@ -16,7 +16,7 @@ from omad.geometry.rigid import box as bounds
 from omad.model.checkpoint import shipped_categories
 from omad.model.proposals.network import Proposer, shipped_proposer
 from omad.sensing.cutting.angles import angle_doubts
-from omad.sensing.cutting.segmentation import things_before_planes
+from omad.sensing.cutting.segmentation import things_alone, things_before_planes
 from omad.sensing.observation import Observation
 from omad.sensing.steadying import steadied
 
@@ -28,6 +28,9 @@ SURE = 0.6
 """An object is of a category that is at least so likely; what reaches this for no category is none of them."""
 WITHIN = 0.5
 """A thing with this share of its points in a box is what the box is about; its neighbours only reach inside."""
+MARGIN, TOUCHED = 0.05, 0.02
+"""A margin as wide as this share of the image; the share of it that is measured in frames that show more than what was
+cut out."""
 CLEAR = 8.0
 """What is so many times as high as the lowest thing that can be told from a plane is seen well enough."""
 
@@ -115,8 +118,14 @@ class Detector:
         inside = None if box is None else frame.inside(box)
         found = things_before_planes(frame.points, LEAST)
         seen = [frame.part(thing) for thing in _of_box(found.clusters, inside)]
+        judged = self._judged(seen, found.planes)
+        if measured_margin(frame) < TOUCHED and not any(one.category for one in judged):
+            # cut out already, perhaps: then the planes were an object's own
+            seen = [frame.part(thing) for thing in _of_box(things_alone(frame.points, LEAST), inside)]
+            alone = self._judged(seen, np.zeros((0, 4)))
+            judged = alone if any(one.category for one in alone) else judged
         flat = tuple(e.category.name for e in self.estimators if _height(e) < CLEAR * found.lowest)
-        return Look(self._judged(seen, found.planes), found.lowest, flat, angle_doubts(found.planes))
+        return Look(judged, found.lowest, flat, angle_doubts(found.planes))
 
     def _judged(self, seen: Sequence[Observation], planes: np.ndarray) -> list[Detection]:
         """Each of the things that were ``seen`` before ``planes`` (P, 4)."""
@@ -161,6 +170,18 @@ def detect(depth_m: Any, K: Any, categories: Sequence[str] = (), box: Sequence[f
 @cache
 def _detector(categories: tuple[str, ...]) -> Detector:
     return Detector([LateEstimator.of(name) for name in categories])
+
+
+def measured_margin(frame: Observation) -> float:
+    """Share of a depth image's margin that is measured; 0 of a bare cloud. An object that was cut out already hardly
+    reaches it."""
+    if frame.mask is None:
+        return 0.0
+    height, width = frame.mask.shape
+    down, across = max(int(MARGIN * height), 1), max(int(MARGIN * width), 1)
+    inner = frame.mask[down : height - down, across : width - across]
+    seen = np.count_nonzero(frame.mask) - np.count_nonzero(inner)
+    return seen / (frame.mask.size - inner.size)
 
 
 def _of_box(things: Sequence[np.ndarray], inside: np.ndarray | None) -> list[np.ndarray]:

@@ -63,6 +63,12 @@ def things_before_planes(points: np.ndarray, least: int) -> Things:
     return Things(clusters, before.planes, before.lowest)
 
 
+def things_alone(points: np.ndarray, least: int) -> list[np.ndarray]:
+    """Indices of each thing of at least ``least`` points in a camera-frame cloud (N, 3) without surroundings."""
+    columns, distance, _ = _columns(points)
+    return all_clusters(columns, distance, least)
+
+
 def _columns(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """A cloud (N, 3) as (3, N) float32, the distance of each point (N,), and its place in the frame (2, N)."""
     columns = np.ascontiguousarray(points.T, dtype=np.float32)
