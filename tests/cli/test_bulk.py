@@ -38,6 +38,19 @@ def test_bad_images_are_rows_of_their_own(capsys):
     assert first["joints"][0]["state"] == pytest.approx(single["joints"][0]["state"], abs=1e-6)
 
 
+def test_a_folder_of_folders_as_render_writes_it_is_read_with_what_lies_beside_the_images(capsys):
+    answer(capsys, "render", *LAPTOP, "--output", "views", "--views", "4", "--objects", "2")
+    found = answer(capsys, "bulk", "views", *LAPTOP, "--output", "out.jsonl")
+    assert (found["images"], found["refused"]) == (4, 0)
+    names = [Path(row["name"]) for row in rows("out.jsonl")]
+    assert len({name.parent for name in names}) == 2
+    truths = [
+        json.loads(name.with_name(name.name.replace(".depth.png", ".json")).read_text())["states"] for name in names
+    ]
+    off = [row["joints"][0]["state"] - states[0] for row, states in zip(rows("out.jsonl"), truths, strict=True)]
+    assert np.degrees(np.median(np.abs(off))) < 5
+
+
 def test_what_is_wrong_for_all_is_said_at_once(capsys):
     save_png("views/a.png")
     usual = ["bulk", "views", *LAPTOP, *K, "--output"]

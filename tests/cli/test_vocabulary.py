@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from helpers.command_line import LAPTOP, refused
+from helpers.command_line import LAPTOP, K, answer, refused, save_png
 from omad import __version__
 from omad.cli.main import COMMANDS, Group, run
 from omad.common.user_cache import VARIABLE, kept_at, user_cache
@@ -89,3 +89,11 @@ def test_a_refusal_names_the_option_as_it_is_written():
     source = Path(str(shapes.__file__)).read_text()
     assert "--missing-meshes skip" in source
     assert "missing_meshes=" not in source
+
+
+def test_one_category_may_be_given_where_several_may(capsys, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    frame = [save_png("scene.png"), *K]
+    for option in ("--category", "--categories"):
+        answer(capsys, "detect", *frame, option, "laptop")
+    assert "sedan" in refused(capsys, "detect", *frame, "--category", "sedan")

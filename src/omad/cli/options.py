@@ -80,7 +80,7 @@ class CategoryCommand:
 class CategoriesCommand:
     """A command that works with the weights of several categories."""
 
-    categories: tuple[str, ...] = ()
+    categories: Annotated[tuple[str, ...], tyro.conf.arg(aliases=["--category"])] = ()
     """Default: all with weights."""
     weights: Path | None = None
     """Folder with a sub-folder a category in place of the shipped weights, or the checkpoint of one category. In a

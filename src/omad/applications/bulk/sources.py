@@ -21,6 +21,8 @@ from omad.sensing.reader import KNOWN, InputReader
 from .parquet_images import SUFFIX, ParquetImages
 from .stream import Frame
 
+_LISTED = (*KNOWN, SUFFIX)
+
 
 @dataclass(frozen=True)
 class Source:
@@ -36,7 +38,8 @@ def open_sources(
 ) -> Source:
     """All of ``inputs``, one after the other. Each is
 
-    - a folder: its Parquet files, then its depth images and clouds, by name;
+    - a folder: its Parquet files, then its depth images and clouds, by name; where it has none, those of its
+      sub-folders;
     - a stack: NPY (N, H, W), of which only the images at work are in memory, or NPZ with ``depth`` (N, H, W) and, if it
       has one, ``mask`` (N, H, W); with ``--mask`` an NPY of the same shape;
     - a Parquet file (``parquet_images.py`` says with which columns);
@@ -88,13 +91,20 @@ class _Group:
 
 
 def _listed(folder: Path) -> _Group:
-    known = (*KNOWN, SUFFIX)
-    with os.scandir(folder) as entries:
-        listed = (e for e in entries if e.name[0] != "." and e.name.lower().endswith(known))
-        names = sorted(e.name for e in listed if not is_companion(Path(e.name)) and e.is_file())
+    """Files of a folder; where it has none, of its sub-folders, as ``omad render`` writes an object into each."""
+    names = _names(folder)
     if not names:
-        raise InputError(f"{folder}: no depth image, cloud or Parquet file in it; known: {' '.join(known)}")
+        within = sorted(entry.name for entry in os.scandir(folder) if entry.name[0] != "." and entry.is_dir())
+        names = [f"{inner}/{name}" for inner in within for name in _names(folder / inner)]
+    if not names:
+        raise InputError(f"{folder}: no depth image, cloud or Parquet file in it; known: {' '.join(_LISTED)}")
     return _Group(folder, names)
+
+
+def _names(folder: Path) -> list[str]:
+    with os.scandir(folder) as entries:
+        listed = (e for e in entries if e.name[0] != "." and e.name.lower().endswith(_LISTED))
+        return sorted(e.name for e in listed if not is_companion(Path(e.name)) and e.is_file())
 
 
 def _at(address: str) -> list[str]:
