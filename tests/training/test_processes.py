@@ -44,6 +44,14 @@ def run(*arguments: object) -> None:
     assert process.returncode == 0, said
 
 
+@pytest.fixture(scope="module")
+def of_two(tmp_path_factory) -> Path:
+    """A training of two processes on this machine."""
+    folder = tmp_path_factory.mktemp("training") / "two"
+    run(folder, 2, 20)
+    return folder
+
+
 def rows(folder: Path) -> list[dict[str, float]]:
     return [json.loads(line) for line in (folder / "metrics.jsonl").read_text().splitlines()]
 
@@ -107,20 +115,19 @@ def test_without_fabric_the_cure_is_named(monkeypatch):
 
 
 @together
-def test_two_processes_take_the_steps_that_one_takes_with_both_of_their_samples(tmp_path):
-    run(tmp_path / "two", 2, 20)
+def test_two_processes_take_the_steps_that_one_takes_with_both_of_their_samples(of_two, tmp_path):
     other = Processes(CPU, rank=1, count=2).generator(0, CPU)
 
     def both(model, generator):
         return terms(model, torch.cat([drawn(BATCH // 2, generator), drawn(BATCH // 2, other)]))
 
     one = train(fresh(), both, schedule(20), tmp_path / "one", {})
-    two = torch.load(tmp_path / "two/kept.pt", weights_only=True)
+    two = torch.load(of_two / "kept.pt", weights_only=True)
     torch.testing.assert_close(two["layer.weight"], one.layer.weight, rtol=1e-5, atol=1e-7)
     torch.testing.assert_close(two["layer.bias"], one.layer.bias, rtol=1e-5, atol=1e-7)
-    curves = [[row["fit"] for row in rows(tmp_path / name)] for name in ("one", "two")]
+    curves = [[row["fit"] for row in rows(folder)] for folder in (tmp_path / "one", of_two)]
     assert curves[1] == pytest.approx(curves[0], rel=1e-5)
-    assert sorted(path.name for path in (tmp_path / "two").iterdir() if "tfevents" not in path.name) == [
+    assert sorted(path.name for path in of_two.iterdir() if "tfevents" not in path.name) == [
         "kept.pt", "metrics.jsonl", "state.pt",
     ]  # fmt: skip
 
@@ -214,12 +221,11 @@ def launched(folder: Path, launcher: str, node: int) -> subprocess.Popen:
 
 @together
 @pytest.mark.parametrize("launcher", ["torchrun", "SLURM"])
-def test_two_machines_are_started_by_a_launcher(launcher, tmp_path):
+def test_two_machines_are_started_by_a_launcher(launcher, of_two, tmp_path):
     machines = [launched(tmp_path / "two", launcher, node) for node in range(2)]
     said = [machine.communicate(timeout=300)[1] for machine in machines]
     assert [machine.returncode for machine in machines] == [0, 0], said
-    run(tmp_path / "one machine", 2, 20)
-    kept = [torch.load(tmp_path / name / "kept.pt", weights_only=True) for name in ("two", "one machine")]
+    kept = [torch.load(folder / "kept.pt", weights_only=True) for folder in (tmp_path / "two", of_two)]
     assert torch.equal(kept[0]["layer.weight"], kept[1]["layer.weight"])
 
 
