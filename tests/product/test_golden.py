@@ -24,7 +24,7 @@ DATA = Path(__file__).parents[1] / "golden"
 # Of answers that are not passed over:
 # mean joint state error (degrees, or category units), mean axis error in degrees, mean axis distance in category units
 LIMITS = {
-    "cabinet_one_door": (4.4, 3.3, 0.045),
+    "cabinet_one_door": (2.4, 1.6, 0.034),
     "cabinet_two_doors": (4.4, 1.8, 0.031),
     "dishwasher": (2.5, 1.4, 0.05),
     "drawer": (0.065, 1.6, None),
@@ -41,12 +41,12 @@ LIMITS = {
     "refrigerator_two_doors": (4.1, 1.8, 0.021),
     "safe": (2.6, 2.3, 0.045),
     "scissors": (3.8, 1.9, 0.02),
-    "stapler": (6.6, 2.8, 0.095),
-    "suitcase": (2.4, 11.0, 0.057),
+    "stapler": (4.0, 2.9, 0.078),
+    "suitcase": (4.6, 10.1, 0.051),
     "washing_machine": (4.1, 2.3, 0.036),
 }
 PASSED_OVER = {
-    "cabinet_one_door": 9,
+    "cabinet_one_door": 4,
     "cabinet_two_doors": 5,
     "drawer_5": 8,
     "lidded_box": 4,
@@ -54,7 +54,7 @@ PASSED_OVER = {
     "refrigerator": 3,
     "refrigerator_two_doors": 6,
     "safe": 2,
-    "stapler": 9,
+    "stapler": 3,
     "washing_machine": 4,
 }
 """Of 24 answers, at most so many are doubtful, or take the object for one of the other hand; 1 of other categories."""
