@@ -31,7 +31,7 @@ LIMITS = {
     "drawer_1": (0.09, 7.1, None),
     "drawer_2": (0.085, 2.7, None),
     "drawer_4": (0.115, 2.9, None),
-    "drawer_5": (0.11, 2.6, None),
+    "drawer_5": (0.092, 1.8, None),
     "eyeglasses": (3.2, 2.7, 0.02),
     "laptop": (1.6, 1.4, 0.026),
     "lidded_box": (4.2, 3.5, 0.068),
@@ -48,7 +48,7 @@ LIMITS = {
 PASSED_OVER = {
     "cabinet_one_door": 4,
     "cabinet_two_doors": 5,
-    "drawer_5": 8,
+    "drawer_5": 5,
     "lidded_box": 4,
     "microwave": 3,
     "refrigerator": 3,
