@@ -61,7 +61,6 @@ def writing(path: str | Path) -> Iterator[None]:
 def unfinished(path: Path) -> Iterator[Path]:
     """A new file beside ``path`` to be written and then renamed to it, of the same extension; it is gone afterwards
     where that did not happen. What a killed process left of such files is taken away."""
-    _refuse_file_names(path.parent)
     path.parent.mkdir(parents=True, exist_ok=True)
     _sweep(os.path.realpath(path.parent))
     handle, name = _locked_file(path)
@@ -98,17 +97,12 @@ def _sweep(folder: str) -> None:
 
 def make_folder(path: str | Path) -> None:
     """Create a folder and those above it. Raises InputError where that cannot be, and where a file must be meant."""
-    _refuse_file_names(Path(path))
+    if Path(path).suffix.lower() in FILES and not Path(path).is_dir():
+        raise InputError(f"{path}: is the name of a file, where a folder is written; leave out {Path(path).suffix}")
     try:
         Path(path).mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"{path}: cannot be a folder for output ({error.strerror}); choose another one") from error
-
-
-def _refuse_file_names(folder: Path) -> None:
-    for new in (folder, *folder.parents):
-        if new.suffix.lower() in FILES and not new.is_dir():
-            raise InputError(f"{new}: is the name of a file, where a folder is written; leave out {new.suffix}")
 
 
 def one_line(error: BaseException) -> str:
