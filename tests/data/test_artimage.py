@@ -315,6 +315,11 @@ BREAKING: dict[str, tuple[Callable[[Layout], object], str, int]] = {
         r"1\.xyz: ",
         2,
     ),
+    "points beyond all measure": (
+        lambda a: a.points("2000000", 1).write_text("1e200 2 3\n4 5 6\n" * 200),
+        r"1\.xyz: ",
+        2,
+    ),
     "few points": (lambda a: a.points("2000000", 1).write_text("1 2 3\n"), r"1\.xyz: ", 2),
     "rest state without a number": (
         lambda a: edit(a.rest_states, lambda r: r["2000000"]["1"].update(state=None)),

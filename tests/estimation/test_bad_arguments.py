@@ -51,6 +51,15 @@ def test_what_cannot_be_known_is_refused(known):
         estimator()(laptop_view().observation(), known)
 
 
+@pytest.mark.parametrize("form", [lambda array: array[::-1].copy()[::-1], lambda array: array.astype(np.longdouble)])
+def test_what_is_known_may_be_an_array_of_any_layout_and_precision(form):
+    view = laptop_view().observation()
+    plain = Known(beta=np.zeros(10), joint_states=np.array([0.3]), gravity=np.array([0.1, 1.0, 0.2]))
+    given = Known(beta=form(plain.beta), joint_states=form(plain.joint_states), gravity=form(plain.gravity))
+    found, expected = estimator()(view, given), estimator()(view, plain)
+    assert np.array_equal(found.T_camera_base, expected.T_camera_base)
+
+
 @pytest.mark.parametrize("settings", [{"samples": ()}, {"samples": (0,)}, {"batch": 0}, {"near_samples": 10**9}])
 def test_settings_that_cannot_be_are_refused(settings):
     with pytest.raises(InputError, match="EstimatorConfig"):

@@ -7,7 +7,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from omad.common.arrays import as_numpy, numbers
+from omad.common.arrays import as_doubles, as_numpy, numbers
 from omad.common.errors import InputError
 from omad.geometry.rigid import mirrored, rigid
 from omad.geometry.transforms import MIRROR_X, make_transform, so3_exp
@@ -58,18 +58,19 @@ class Known:
         """``start`` (category units) with the known values in place of its own."""
         beta, states, pose = start.beta, start.joint_states, start.T_camera_base
         if self.beta is not None:
-            beta = torch.as_tensor(as_numpy(self.beta).astype(np.float64)).to(beta).expand_as(beta).clone()
+            beta = torch.as_tensor(as_doubles(self.beta)).to(beta).expand_as(beta).clone()
         if self.joint_states is not None:
-            known = torch.as_tensor(as_numpy(self.joint_states) / category.state_units).to(states)
+            known = torch.as_tensor(as_doubles(self.joint_states) / category.state_units).to(states)
             states = torch.where(known.isnan(), states, known)
         if self.gravity is not None:
-            pose = _upright(pose, torch.as_tensor(as_numpy(self.gravity)).to(pose))
+            pose = _upright(pose, torch.as_tensor(as_doubles(self.gravity)).to(pose))
         return State(beta, states, pose)
 
     def free(self, category: Category, basis_size: int) -> Tensor:
         """Directions (P, F) that are left to be estimated."""
         held = False if self.joint_states is None else np.isfinite(as_numpy(self.joint_states)).tolist()
-        return free_directions(len(category.joints), basis_size, self.beta is not None, held, self.gravity)
+        gravity = None if self.gravity is None else as_doubles(self.gravity)
+        return free_directions(len(category.joints), basis_size, self.beta is not None, held, gravity)
 
 
 @dataclass(frozen=True)

@@ -26,6 +26,8 @@ from ..rendering.standard_views import ObjectTruth
 from .joints import FileJoint, read_base_offset, read_joints
 from .layout import AGAIN, Layout, peculiarities, require_flat_tree
 
+FARTHEST = 1e6
+"""Of coordinates, in the files' unit: beyond, distances mean nothing."""
 LEAST_RANGE = 0.1
 """Share of the spec's range that an object's limits must cover to be believed."""
 
@@ -95,8 +97,9 @@ def _to_rest(layout: Layout, name: str, joint: FileJoint, rest_states: dict[str,
 
 def _read_points(path: Path) -> np.ndarray:
     points = read_cloud(path)
-    if len(points) < NEIGHBOURS or not np.isfinite(points).all():
-        raise InputError(f"{path}: {len(points)} points; expected at least {NEIGHBOURS}, all finite; {AGAIN}")
+    if len(points) < NEIGHBOURS or not (np.abs(points) <= FARTHEST).all():
+        wanted = f"at least {NEIGHBOURS}, none of them beyond {FARTHEST:g}"
+        raise InputError(f"{path}: {len(points)} points; expected {wanted}; {AGAIN}")
     return points
 
 
