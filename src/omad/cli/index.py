@@ -27,6 +27,7 @@ with lazy_imports():
     from omad.applications.retrieval.picture import ranking_figure
     from omad.applications.retrieval.signature import Space, estimate_signature, fuse, prior_fingerprint
     from omad.common.batches import progress
+    from omad.common.incoming import is_path
     from omad.data.rendering.standard_views import View
     from omad.data.source import kind_of, load_models, load_views
     from omad.model.checkpoint import find_weights
@@ -115,7 +116,7 @@ class IndexBuild(CategoryCommand):
     def _files(self) -> list[Path]:
         """Depth images and clouds, where the source is a folder of such."""
         folder = Path(self.source)
-        if self.source == "procedural" or next(folder.rglob("*.urdf"), None):
+        if self.source == "procedural" or not is_path(folder) or next(folder.rglob("*.urdf"), None):
             return []
         return files_in(folder, "**/[!.]*")
 

@@ -37,9 +37,9 @@ def numbers(values: Any, *shape: int | None, what: str, unknown: bool = False) -
     raise InputError(f"{what}: expected {wanted}; pass such an array")
 
 
-def as_doubles(tensor: Tensor) -> np.ndarray:
-    """Contiguous float64 array, as compiled loops want it."""
-    return np.ascontiguousarray(as_numpy(tensor), dtype=np.float64)
+def as_doubles(values: Any) -> np.ndarray:
+    """Contiguous float64 array, as compiled loops want it, of anything array-like."""
+    return np.ascontiguousarray(as_numpy(values), dtype=np.float64)
 
 
 def digest_of(tensors: Mapping[str, Tensor | np.ndarray]) -> str:
