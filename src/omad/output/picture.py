@@ -250,9 +250,10 @@ def around(camera: Camera, clouds: Sequence[np.ndarray]) -> tuple[float, float, 
 
 
 def _widened(camera: Camera, window: tuple[float, float, float, float]) -> tuple[Camera, int]:
-    """A camera that sees all of a region (left, right, top, bottom), and the pixels that it has more on each side."""
+    """A camera that sees all of a region (left, right, top, bottom), and the pixels that it has more on each side:
+    half ``MAX_SIDE`` at most, as a point right before the lens makes the region boundless."""
     left, right, top, bottom = window
-    beyond = math.ceil(min(max(0, -left, right - camera.width, -top, bottom - camera.height), MAX_SIDE))
+    beyond = math.ceil(min(max(0, -left, right - camera.width, -top, bottom - camera.height), MAX_SIDE / 2))
     sides = {"width": camera.width + 2 * beyond, "height": camera.height + 2 * beyond}
     return replace(camera, **sides, cx=camera.cx + beyond, cy=camera.cy + beyond), beyond
 
