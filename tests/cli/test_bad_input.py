@@ -357,6 +357,11 @@ def test_a_file_name_for_a_folder_of_output_is_refused(command, capsys):
     assert not Path("picture.png").exists()
 
 
+def test_a_source_whose_name_no_file_can_have_is_refused(capsys):
+    name = 300 * "x"
+    assert name[:20] in refused(capsys, "index", "build", *LAPTOP, "--source", name, "--output", "i.npz")
+
+
 def test_pictures_that_cannot_be_written_are_refused_before_the_work(capsys):
     Path("mine").write_text("keep me")
     for command in ("pose", "robustness"):
