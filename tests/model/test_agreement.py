@@ -55,6 +55,12 @@ def test_a_part_left_out_is_missing_and_one_too_many_is_looked_through():
     assert Overlay.of(PARTS, alone).agreement.in_front == pytest.approx(share, abs=0.03)
 
 
+def test_points_behind_the_camera_are_in_no_picture():
+    points = VIEW.observation().points
+    some = Observation.from_points(np.concatenate([points, points[:50] * [1, 1, -0.5]]))
+    assert Overlay.of(PARTS, some).agreement.explained > 0.97
+
+
 def test_what_is_hidden_counts_neither_way():
     depth = VIEW.depth
     columns = np.flatnonzero((depth > 0).any(0))

@@ -93,9 +93,10 @@ def _seen(observation: Observation, camera: Camera) -> tuple[np.ndarray, np.ndar
     """What ``camera`` would have measured (H, W), and whether it is the object."""
     depth, chosen, own = observation.depth, observation.mask, observation.camera
     if depth is None or chosen is None or own is None:
-        column, row = np.rint(camera.project(observation.points)).astype(int).T
+        points = observation.points[observation.points[:, 2] > 0]
+        column, row = np.rint(camera.project(points)).astype(int).T
         cloud = np.full((camera.height, camera.width), np.inf, np.float32)
-        np.minimum.at(cloud, (row, column), observation.points[:, 2])
+        np.minimum.at(cloud, (row, column), points[:, 2])
         hit = np.isfinite(cloud)
         return np.where(hit, cloud, 0), hit
     pixels = np.indices((camera.height, camera.width))[::-1].reshape(2, -1).T
