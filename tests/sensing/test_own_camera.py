@@ -107,6 +107,17 @@ def test_a_lens_is_undone(lens):
         assert np.allclose(lens.undistort(place[None])[0], solved.x, atol=1e-7)
 
 
+def test_what_a_wide_lens_shows_beyond_the_picture_is_left_out():
+    """Undone, a fisheye's corners lie outside of an image of the same size."""
+    wide, flat = Distortion("equidistant", (0.3,)), np.full((480, 640), 1.0)
+    seen = Observation.from_depth(flat, K, distortion=wide)
+    assert len(seen.points) > 0.5 * flat.size
+    assert seen.part(np.arange(len(seen.points))).mask.sum() > 0.5 * flat.size
+    assert seen.inside((0, 0, 640, 480)).all()
+    with pytest.raises(InputError, match="distortion: without it 0 of 400 points"):
+        Observation.from_depth(flat, K, box=(0, 0, 20, 20), distortion=Distortion("equidistant", (-0.3,)))
+
+
 def test_the_models_are_those_of_the_drivers():
     """By hand, at (0.3, -0.2): r2 = 0.13."""
     x, y, r2 = 0.3, -0.2, 0.13

@@ -135,7 +135,12 @@ class Observation:
         if camera.distortion is not None:
             color = None if color is None else np.stack([camera.rectified(color[..., i]) for i in range(3)], -1)
             depth, chosen, camera = camera.rectified(depth), camera.rectified(chosen), camera.pinhole
-            pixels = np.rint(camera.project(points)).astype(int)
+            pixels = np.rint(camera.project(points))
+            kept = np.all((pixels >= 0) & (pixels < (camera.width, camera.height)), axis=1)  # the corners may be lost
+            if (count := np.count_nonzero(kept)) < MIN_POINTS:
+                lie = f"distortion: without it {count} of {len(points)} points lie within the image"
+                raise NothingSeen(f"{lie}, at least {MIN_POINTS} are needed; check its coefficients")
+            points, pixels = points[kept], pixels[kept].astype(int)
         warnings = _doubts(camera) + _odd_mask(mask) + warnings
         seen = cls(points.astype(np.float32), depth, camera, pixels, chosen, warnings, color)
         return seen.without_strays() if drop_flying else seen
