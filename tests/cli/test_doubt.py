@@ -90,3 +90,5 @@ def test_confidence_is_trained_into_the_checkpoint(capsys, monkeypatch):
     assert second["probability"] == pytest.approx(first["probability"])
     (Path("own") / FILE).write_text("{")
     assert str(Path("own") / FILE) in refused(capsys, "estimate", image, *LAPTOP, *K, *weights)
+    answer(capsys, *trained, "--views", "90")  # the cure that is named
+    assert (Path("own") / FILE).read_text() == kept

@@ -142,10 +142,11 @@ def test_the_likelier_hand_is_taken_and_without_one_the_surer(views):
     estimator = omad.Estimator.from_pretrained("dishwasher", "cpu")
     plain, images = estimator.of_each_hand([view.observation() for view in views], Known())
     rng = np.random.default_rng(0)
-    hand = rng.normal(size=plain[0].signals.pooled.shape[1] + 1)
+    hand = rng.normal(size=plain[0].signals.pooled.shape[1] + 2)
     for together in (False, True):
-        told = [[e.signals.pooled[0] @ hand[:-1] + hand[-1] for e in pair] for pair in zip(plain, images, strict=True)]
-        told = np.mean(told, 0, keepdims=True).repeat(len(views), 0) if together else np.array(told)
+        pairs = zip(plain, images, strict=True)
+        told = np.array([[[*e.signals.pooled[0], -e.T_camera_base[1, 1], 1] for e in pair] for pair in pairs]) @ hand
+        told = np.mean(told, 0, keepdims=True).repeat(len(views), 0) if together else told
         found = surer_hands(plain, images, hand.tolist(), together)
         assert [e.of_other_hand for e in found] == [bool(row[1] > row[0]) for row in told]
     surer = [np.log(a.keypoint_std).mean() > np.log(b.keypoint_std).mean() for a, b in zip(plain, images, strict=True)]

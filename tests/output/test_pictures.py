@@ -18,7 +18,7 @@ from omad.estimation.estimator import Estimator
 from omad.geometry.camera import Camera
 from omad.output.frame_image import frame_image
 from omad.output.page import page_text
-from omad.output.picture import figure, show
+from omad.output.picture import MAX_SIDE, figure, show
 from omad.sensing.camera_files import CameraFile
 from omad.sensing.colour_mask import ColourCamera
 from omad.sensing.observation import Observation
@@ -42,6 +42,14 @@ def test_the_object_fills_its_panels():
         assert left < low[0]
         assert right > high[0]
         assert max((high[0] - low[0]) / (right - left), (high[1] - low[1]) / (bottom - top)) > 0.8
+
+
+def test_a_point_right_before_the_lens_makes_no_boundless_picture():
+    points = seen()[0].points
+    near = Observation.from_points(points - [0, 0, points[:, 2].min() - 1e-5])
+    panels = figure(near, Estimator.from_pretrained("laptop")(near)).axes
+    sizes = [max(image.get_array().shape) for panel in panels for image in panel.images]
+    assert max(sizes) == 640 + MAX_SIDE
 
 
 def test_notebooks_display_what_show_returns():

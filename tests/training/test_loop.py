@@ -128,6 +128,15 @@ def test_the_refined_answer_is_learned_and_logged(models, priornet, tmp_path):
 
 
 @pytest.mark.slow
+def test_the_hand_is_learned_where_there_are_two(models, priornet, tmp_path):
+    for either_hand in (False, True):
+        category, folder = replace(LAPTOP, either_hand=either_hand), tmp_path / str(either_hand)
+        train_net(models, category, priornet, folder, NetTraining(Schedule(steps=2, batch=4, log_steps=1)))
+        terms = json.loads((folder / "metrics.jsonl").read_text().splitlines()[-1])
+        assert ("hand" in terms) == either_hand
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("category", [LAPTOP, EYEGLASSES], ids=lambda category: category.name)
 def test_a_network_learns_from_one_with_another_prior(category, models, priornet, tmp_path):
     features = OmadNet(category, PriorNet(category).prior, tells_outside=True)

@@ -89,3 +89,15 @@ def test_segmentation_counts_points_outside_the_object_more():
     assert losses.segmentation_loss(logits, labels, 2, 4.0) == pytest.approx(expected.item(), rel=1e-6)
     parts_only = losses.segmentation_loss(logits, labels, 3, 4.0)
     assert parts_only == pytest.approx(each.mean().item(), rel=1e-6)
+
+
+def test_hands_are_told_by_comparison():
+    draw = torch.Generator().manual_seed(0)
+    own, image = (torch.randn(5, 6, generator=draw) for _ in range(2))
+    alike = losses.hand_loss(own, own)
+    assert alike == pytest.approx(math.log(2))  # a coin's
+    signs = torch.tensor([1.0, -1.0] * 3)
+    odds = (own - image) @ signs / math.sqrt(6)
+    assert losses.hand_loss(own, image) == pytest.approx(-torch.sigmoid(odds).log().mean().item(), rel=1e-6)
+    better = losses.hand_loss(own + signs, image - signs)
+    assert better < losses.hand_loss(own, image)

@@ -6,7 +6,7 @@ from functools import partial
 
 import torch
 from torch import Tensor
-from torch.nn.functional import cross_entropy, smooth_l1_loss
+from torch.nn.functional import cross_entropy, smooth_l1_loss, softplus
 
 from omad.geometry.transforms import point_to_line
 from omad.model.priornet import part_boxes
@@ -81,3 +81,14 @@ def segmentation_loss(logits: Tensor, labels: Tensor, parts: int, outside: float
     weight = torch.ones(logits.shape[-1], dtype=logits.dtype, device=logits.device)
     weight[parts:] = outside
     return cross_entropy(logits.flatten(0, 1), labels.flatten(), weight)
+
+
+def hand_loss(own: Tensor, image: Tensor) -> Tensor:
+    """How hard it is to tell clouds from their mirror images, by pooled features (B, width) of both: the negative
+    logarithm of the probability of the former, whose log-odds are the sum of every other feature less that of the rest.
+    That needs no weights, as the layer before has them."""
+
+    def score(pooled: Tensor) -> Tensor:
+        return (pooled[:, ::2].sum(1) - pooled[:, 1::2].sum(1)) / pooled.shape[1] ** 0.5
+
+    return softplus(score(image) - score(own)).mean()

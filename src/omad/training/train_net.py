@@ -10,7 +10,14 @@ from torch import Tensor
 from omad.common.errors import InputError
 from omad.data.training_views import ViewBatch, ViewSettings, draw_views
 from omad.geometry.kinematics import deform, joint_lines, part_transforms
-from omad.geometry.transforms import invert_transform, make_transform, matrix_to_quaternion, quarter_turns, so3_exp
+from omad.geometry.transforms import (
+    MIRROR_X,
+    invert_transform,
+    make_transform,
+    matrix_to_quaternion,
+    quarter_turns,
+    so3_exp,
+)
 from omad.model.backbones import SLIM, BackboneConfig
 from omad.model.fitting.energy import RefinementConfig, ShapePrior
 from omad.model.fitting.state import State
@@ -24,7 +31,7 @@ from omad.objects.model import SampledObject
 
 from .held_back import HeldBack, split
 from .loop import Schedule, Training, seeded_bank, train_network
-from .losses import confidence_loss, joint_loss, quaternion_loss, segmentation_loss, state_loss
+from .losses import confidence_loss, hand_loss, joint_loss, quaternion_loss, segmentation_loss, state_loss
 from .processes import ALONE, Processes
 from .refined_error import axis_distance, refined_error, refinement_loss
 
@@ -48,6 +55,8 @@ class NetLossWeights:
     beta: float = 0.01
     confidence: float = 0.1
     refinement: float = 0.0
+    hand: float = 0.5
+    """Of categories whose objects may be of either hand: to tell a cloud from its mirror image."""
     outside: float = 3.0
     """How many times a point that is not on the object counts in ``segmentation``: one that is dropped in vain does
     little harm, one that stays does much."""
@@ -119,7 +128,8 @@ def net_losses(
     net: OmadNet, views: ViewBatch, truth: ViewTruth, frames: Tensor, shape_prior: ShapePrior, weights: NetLossWeights
 ) -> dict[str, Tensor]:
     """Every weighted term of the loss; their sum is the loss. ``frames``: T_camera_input (B, 4, 4)."""
-    prior, out = net.prior, net(to_input_frame(views.points, frames))
+    points = to_input_frame(views.points, frames)
+    prior, out = net.prior, net(points)
     T_input_base = invert_transform(frames) @ views.T_camera_base
     distance = (out.keypoints - to_input_frame(truth.keypoints, frames)).square().sum(-1).add(1e-12).sqrt()
     joints = prior.joints(out.beta)
@@ -135,6 +145,8 @@ def net_losses(
         "joints": joint_loss(joints.axes, joints.pivots, views.axes, views.pivots, prior.turning),
         "beta": out.beta.square().mean(),
     }
+    if net.category.either_hand:
+        terms["hand"] = hand_loss(out.pooled, net.backbone.pooled(points * points.new_tensor(MIRROR_X)))
     if weights.refinement > 0:
         at_truth = State(truth.beta, views.states, T_input_base)
         precision = (-2 * out.log_sigma.detach()).exp()

@@ -282,6 +282,7 @@ class Program:
         parts = parts.copy()
         parts[:, :3, 3] *= unit
         hand, sure = np.array(self.numbers["hand"]), -float(np.log(look.expected_error))
+        told = np.append(look.pooled, -parts[0, 1, 1])
         return Answer(
             beta=fit.row[16 + J :],
             joint_states=fit.row[16 : 16 + J] * units,
@@ -293,7 +294,7 @@ class Program:
             keypoint_std=unit / np.sqrt(look.weights),
             residual=fit.residual * unit,
             converged=bool(fit.converged),
-            hand=float(look.pooled @ hand[:-1] + hand[-1]) if len(hand) else sure,
+            hand=float(told @ hand[:-1] + hand[-1]) if len(hand) else sure,
         )
 
 

@@ -295,8 +295,10 @@ class TrainConfidence(CategoryCommand):
         check_positive(objects=self.objects, views=self.views)
         use_threads(self.threads)
         folder = find_weights(self.weights or self.category)
-        estimator = self.estimator()
-        category = estimator.category
+        net = load(OmadNet, folder)
+        self.check_weights(net.category)
+        estimator = omad.Estimator(net, device=pick_device(self.device))  # what it may know of its errors is of before
+        category = net.category
         models = load_models(self.source, category, self.objects, "train", UNSEEN).models
         if category.either_hand:
             estimator.hand = fit_hand(estimator, models, self.views, self.seed + 1)

@@ -8,7 +8,6 @@ import numpy as np
 from omad.common.errors import InputError
 
 from ..confidence.model import CURE, FILE
-from ..confidence.signals import Signals
 from ..estimate import Estimate
 
 
@@ -27,16 +26,23 @@ def surer_hands(
     return [replace(estimate, seconds=_added(pair)) for estimate, pair in zip(chosen, pairs, strict=True)]
 
 
-def odds(hand: Sequence[float], signals: Signals) -> np.ndarray:
-    """(B,) log-odds that objects are of the category's hand and not its mirror image: ``hand`` is a linear function of
-    what the backbone knows of the cloud, its constant last. Raises InputError where it is of another backbone."""
-    if len(hand) != signals.pooled.shape[1] + 1:
+def odds(hand: Sequence[float], estimate: Estimate) -> float:
+    """Log-odds that an object is of the category's hand and not its mirror image: ``hand`` is a linear function of
+    what ``told`` says, its constant last. Raises InputError where it is of another backbone."""
+    known = told(estimate)
+    if len(hand) != len(known) + 1:
         raise InputError(f"{FILE}: field hand: of another network; {CURE}")
-    return signals.pooled @ np.array(hand[:-1]) + hand[-1]
+    return float(known @ np.array(hand[:-1]) + hand[-1])
+
+
+def told(estimate: Estimate) -> np.ndarray:
+    """(pooled + 1,) what tells the hand: what the backbone knows of the cloud, and how far up in the image the answer's
+    own up points, as a door hinged at the right is one hinged at the left where the object stands on its head."""
+    return np.append(estimate.signals.pooled[0], -estimate.T_camera_base[1, 1])
 
 
 def _for(estimate: Estimate, hand: Sequence[float]) -> float:
-    return float(odds(hand, estimate.signals)[0] if hand else -np.log(estimate.keypoint_std).mean())
+    return odds(hand, estimate) if hand else -float(np.log(estimate.keypoint_std).mean())
 
 
 def _added(pair: Sequence[Estimate]) -> dict[str, float]:

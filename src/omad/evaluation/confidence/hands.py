@@ -9,6 +9,7 @@ from scipy.special import expit
 from omad.common.batches import batched, progress
 from omad.estimation.estimator import Estimator
 from omad.estimation.known import Known
+from omad.estimation.looks.either_hand import told
 from omad.objects.model import ObjectModel
 
 from ..evaluate import true_pose
@@ -23,7 +24,7 @@ DECAY = 3e-3
 def fit_hand(estimator: Estimator, models: Sequence[ObjectModel], views: int, seed: int) -> tuple[float, ...]:
     """``Confidence.hand`` of a category whose objects may be of either hand, from so many views of the ``models``, each
     with its mirror image."""
-    pooled, right = list[np.ndarray](), list[bool]()
+    known, right = list[np.ndarray](), list[bool]()
     shown = (one.view for one in examples(models, estimator.category, views, seed) if one.of_category)
     for some in batched(progress(shown, None), BATCH):
         both = estimator.of_each_hand([view.observation() for view in some], Known())
@@ -31,9 +32,9 @@ def fit_hand(estimator: Estimator, models: Sequence[ObjectModel], views: int, se
             truth = true_pose(view, estimator.category)
             for estimate, posed in zip(pair, (pair[0], pair[1].in_mirror()), strict=True):
                 found = pose_errors(posed.pose(), truth, view.truth.part_boxes, estimator.category)
-                pooled.append(estimate.signals.pooled[0])
+                known.append(told(estimate))
                 right.append(not found.flipped and bool((found.axis < np.pi / 2).all()))
-    return logistic(np.stack(pooled), np.array(right))
+    return logistic(np.stack(known), np.array(right))
 
 
 def logistic(inputs: np.ndarray, true: np.ndarray) -> tuple[float, ...]:
