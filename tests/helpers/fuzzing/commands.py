@@ -251,7 +251,11 @@ def _of_models(folder: Path) -> list[Command]:
     made = [
         Command("import", ("import", "models", *own, "--scale", "1", "--output", "out", "--json"), boxes),
         Command("render models", ("render", *LAPTOP, "--source", "models", *render), laptops),
-        Command("train prior on", ("train", "prior", *LAPTOP, "--source", "models", *SMALL, "--json"), laptops),
+        Command(
+            "train prior on",
+            ("train", "prior", *LAPTOP, "--source", "models", "--variants", "4", *SMALL, "--json"),
+            laptops,
+        ),
         Command(
             "eval keypoints on",
             ("eval", "keypoints", *LAPTOP, "--source", "models", "--objects", "1", "--json"),
