@@ -1,0 +1,131 @@
+"""Lenses: undone, as the drivers define them, read from files and from the command line."""
+
+import json
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+from helpers.command_line import laptop_view
+from helpers.lenses import BROWN, K, seen_through
+from omad.common.errors import InputError
+from omad.geometry.camera import STANDARD_CAMERA
+from omad.geometry.lens import Distortion
+from omad.sensing.camera_files import parse_distortion, read_camera
+from omad.sensing.observation import Observation
+
+LENSES = [
+    Distortion("plumb_bob", BROWN),
+    Distortion("rational_polynomial", (0.5, -2.6, 0.0007, -0.0003, 1.5, 0.4, -2.4, 1.4)),
+    Distortion("inverse_brown_conrady", BROWN),
+    Distortion("equidistant", (-0.01, 0.02, -0.03, 0.01)),
+]
+
+
+@pytest.mark.parametrize("lens", LENSES, ids=lambda lens: lens.model)
+def test_a_lens_is_undone(lens):
+    rays = np.random.default_rng(0).uniform((-0.53, -0.4), (0.53, 0.4), (500, 2))
+    seen = lens.distort(rays)
+    assert np.abs(seen - rays).max() > 0.005
+    assert np.allclose(lens.undistort(seen), rays, atol=1e-9)
+    for place in seen[:20]:  # an independent solver agrees
+        solved = least_squares(lambda ray, place=place: lens.distort(ray[None])[0] - place, place, xtol=1e-14)
+        assert np.allclose(lens.undistort(place[None])[0], solved.x, atol=1e-7)
+
+
+def test_what_a_wide_lens_shows_beyond_the_picture_is_left_out():
+    """Undone, a fisheye's corners lie outside of an image of the same size."""
+    wide, flat = Distortion("equidistant", (0.3,)), np.full((480, 640), 1.0)
+    seen = Observation.from_depth(flat, K, distortion=wide)
+    assert len(seen.points) > 0.5 * flat.size
+    assert seen.part(np.arange(len(seen.points))).mask.sum() > 0.5 * flat.size
+    assert seen.inside((0, 0, 640, 480)).all()
+    with pytest.raises(InputError, match="distortion: without it 0 of 400 points"):
+        Observation.from_depth(flat, K, box=(0, 0, 20, 20), distortion=Distortion("equidistant", (-0.3,)))
+
+
+def test_the_models_are_those_of_the_drivers():
+    """By hand, at (0.3, -0.2): r2 = 0.13."""
+    x, y, r2 = 0.3, -0.2, 0.13
+    k1, k2, p1, p2, k3 = BROWN
+    radial = 1 + k1 * r2 + k2 * r2**2 + k3 * r2**3
+    plain = (
+        x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
+        y * radial + 2 * p2 * x * y + p1 * (r2 + 2 * y * y),
+    )
+    assert np.allclose(Distortion("brown_conrady", BROWN).distort(np.array([[x, y]]))[0], plain)
+    assert np.allclose(Distortion("plumb_bob", BROWN[:4]).distort(np.array([[x, y]]))[0, 0], plain[0] - x * k3 * r2**3)
+    a = np.arctan(np.sqrt(r2))
+    fisheye = Distortion("equidistant", (0.1, 0.0, 0.0, 0.0)).distort(np.array([[x, y]]))[0]
+    assert np.allclose(fisheye, np.array([x, y]) / np.sqrt(r2) * (a + 0.1 * a**3))
+    assert np.allclose(STANDARD_CAMERA.project(np.array([[0.6, -0.4, 2.0]])), [[499.5, 119.5]])
+
+
+def test_where_the_lens_shows_no_ray_there_is_none():
+    seen = np.array([[2.0, 0.0], [0.1, 0.0]])  # a fisheye sees 90 degrees at 1.57
+    rays = Distortion("equidistant", (0.0,)).undistort(seen)
+    assert np.isnan(rays[0]).all()
+    assert np.isfinite(rays[1]).all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("lens", LENSES, ids=lambda lens: lens.model)
+def test_points_and_picture_of_a_distorted_image_are_those_of_the_camera_without_its_lens(lens):
+    view = laptop_view()
+    plain = Observation.from_depth(view.depth, K)
+    seen = Observation.from_depth(seen_through(lens, view.depth), K, distortion=lens)
+    assert seen.depth is not None
+    assert seen.mask is not None
+    assert seen.pixels is not None
+    assert plain.mask is not None
+    assert np.allclose(seen.points.mean(0), plain.points.mean(0), atol=0.004)
+    assert np.allclose(*(np.percentile(v.points, [1, 99], axis=0) for v in (seen, plain)), atol=0.005)
+    assert (seen.mask & plain.mask).sum() / (seen.mask | plain.mask).sum() > 0.97
+    both = (seen.depth > 0) & (view.depth > 0)
+    assert np.median(np.abs(seen.depth - view.depth)[both]) < 0.002
+    assert np.abs(STANDARD_CAMERA.project(seen.points) - seen.pixels).max() <= 0.51
+
+
+def test_lenses_are_read_from_files(tmp_path):
+    flat, listed = K.ravel().tolist(), list(BROWN)
+    realsense = {"width": 640, "height": 480, "fx": 600, "fy": 600, "ppx": 319.5, "ppy": 239.5, "coeffs": listed}
+    ros = f"image_width: 640\nimage_height: 480\ncamera_matrix: {{rows: 3, cols: 3, data: {flat}}}\n"
+    forms = {
+        "a.json": (json.dumps({**realsense, "model": "Inverse Brown Conrady"}), "inverse_brown_conrady"),
+        "b.json": (json.dumps({**realsense, "model": "distortion.brown_conrady"}), "brown_conrady"),
+        "c.json": (json.dumps({**realsense, "model": 2}), "inverse_brown_conrady"),
+        "d.yaml": (ros + f"distortion_model: plumb_bob\ndistortion_coefficients: {{data: {listed}}}\n", "plumb_bob"),
+        "e.yaml": (f"height: 480\nwidth: 640\nK: {flat}\nD: {listed}\n---\n", "plumb_bob"),
+        "f.yaml": (f"k: {flat}\nd: {listed[:4]}\ndistortion_model: equidistant\n", "equidistant"),
+        "g.json": (json.dumps({**realsense, "model": "none"}), None),
+        "h.json": (json.dumps({**realsense, "coeffs": [0] * 5, "model": "Brown Conrady"}), None),
+    }
+    for name, (content, model) in forms.items():
+        (tmp_path / name).write_text(content)
+        camera = read_camera(tmp_path / name)
+        assert np.allclose(camera.K, K)
+        assert (None if camera.distortion is None else camera.distortion.model) == model, name
+        assert camera.size in ((640, 480), None)
+        if camera.distortion is not None:
+            assert camera.distortion.coefficients == BROWN[: len(camera.distortion.coefficients)]
+    assert read_camera("600,600,319.5,239.5").distortion is None
+    for content, word in (
+        (json.dumps({**realsense, "model": "F-Theta"}), "f_theta"),
+        (json.dumps({**realsense, "coeffs": "many", "model": "Brown Conrady"}), "coeffs"),
+        (json.dumps({**realsense, "coeffs": [1.0] * 12, "model": "Brown Conrady"}), "8"),
+    ):
+        (tmp_path / "bad.json").write_text(content)
+        with pytest.raises(InputError, match=word) as error:
+            read_camera(tmp_path / "bad.json")
+        assert "bad.json" in str(error.value)
+        assert "\n" not in str(error.value)
+
+
+def test_lenses_are_read_from_the_command_line():
+    assert parse_distortion("none") is None
+    assert parse_distortion("0.1,-0.2,0,0,0.05") == Distortion("plumb_bob", (0.1, -0.2, 0, 0, 0.05))
+    assert parse_distortion("equidistant: 0.1,0,0,0") == Distortion("equidistant", (0.1, 0, 0, 0))
+    for text in ("0.1,0.2", "x", "oval:1,2", "nan,0,0,0"):
+        with pytest.raises(InputError) as error:
+            parse_distortion(text)
+        assert "\n" not in str(error.value)
