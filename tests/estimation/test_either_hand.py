@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.special import expit
 
 import omad
 from helpers.categories import DISHWASHER, EVERY
@@ -149,7 +150,27 @@ def test_the_likelier_hand_is_taken_and_without_one_the_surer(views):
         told = np.mean(told, 0, keepdims=True).repeat(len(views), 0) if together else told
         found = surer_hands(plain, images, hand.tolist(), together)
         assert [e.of_other_hand for e in found] == [bool(row[1] > row[0]) for row in told]
+        assert [e.hand_probability for e in found] == pytest.approx(expit(np.abs(np.diff(told)[:, 0]) / 2))
     surer = [np.log(a.keypoint_std).mean() > np.log(b.keypoint_std).mean() for a, b in zip(plain, images, strict=True)]
     assert [e.of_other_hand for e in surer_hands(plain, images, (), False)] == surer
     with pytest.raises(InputError, match=r"hand: of another network"):
         surer_hands(plain, images, (1.0, 2.0), False)
+
+
+def test_where_the_hand_is_hardly_seen_it_is_told():
+    estimator = omad.Estimator.from_pretrained("cabinet_one_door", "cpu")
+    category = estimator.category
+    models = [generate(category, i, "test") for i in range(16)]
+    told = {}
+    for state in (0.0, 70.0):
+        views = [standard_view(model, category, (8, i), states=np.radians([state])) for i, model in enumerate(models)]
+        answers = estimator([view.observation() for view in views])
+        told[state] = sum(any(text.startswith("hand: ") for text in answer.warnings) for answer in answers)
+        for answer in answers:
+            assert 0.5 <= answer.hand_probability == answer.to_dict()["hand_probability"] <= 1
+            assert any(text.startswith("hand: ") for text in answer.warnings) == (answer.hand_probability < 0.75)
+            assert answer.in_mirror().hand_probability == answer.hand_probability
+        surely = [answer for answer in answers if answer.hand_probability >= 0.75]
+        assert sum(answer.of_other_hand for answer in surely) <= 1
+    assert told[0.0] >= 8
+    assert told[70.0] <= 2

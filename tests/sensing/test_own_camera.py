@@ -321,5 +321,5 @@ def test_the_pages_python_runs(frame, capsys):
 
 def test_the_page_knows_every_check():
     told = PAGE.read_text()
-    for name in ("size", "points", "frame", "convergence", "residual", "network", "category"):
+    for name in ("size", "points", "frame", "convergence", "residual", "network", "hand", "category"):
         assert f"`{name}`" in told

@@ -36,6 +36,8 @@ are of two things."""
 TILTED, TELLING = 10.0, 0.8
 """Degrees by which objects seem to lean at most that do not (98 % of noisy views of most categories: 3 to 6), and the
 probability from which on an answer is believed in that."""
+SURE_OF_HAND = 0.75
+"""Of views whose hand is told less surely, one in three is taken for its mirror image; of all others one in fifty."""
 CUT_OFF = 0.1
 """Pixels at one border of the image from which on the object runs out of it, as a share of its width in pixels."""
 
@@ -69,6 +71,7 @@ def doubts(observation: Observation, estimate: Estimate, depth_scale: float | No
         *_view_doubts(observation),
         *_fit_doubts(estimate),
         *network_doubts(estimate.keypoint_std, category),
+        *hand_doubts(estimate.hand_probability),
         *_surface_doubts(observation, estimate),
     ]
 
@@ -234,4 +237,15 @@ def network_doubts(keypoint_std: np.ndarray, category: Category) -> Iterator[Che
             f" under {1000 * DOUBTFUL * unit:.1f} mm is usual",
             "this view may not show which side is the front, or the object is of another category or badly cut out",
             "try another viewpoint, a better mask, or --gravity where the object stands upright",
+        )
+
+
+def hand_doubts(probability: float | None) -> Iterator[Check]:
+    """Where the view hardly shows which of two mirror images the object is."""
+    if probability is not None and probability < SURE_OF_HAND:
+        yield Check(
+            "hand",
+            f"that it is hinged on this side and not on the other is {probability:.0%} probable",
+            "a door that is all but shut, or seen from behind, shows little of its hinges",
+            "look again from the front, or once it is open",
         )

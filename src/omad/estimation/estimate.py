@@ -143,6 +143,9 @@ class Estimate(PoseEstimate):
     of_other_hand: bool = False
     """The object is the mirror image of what the category's spec describes, and of what ``beta`` says: its door is
     hinged on the other side, say. All else is of the object itself."""
+    hand_probability: float | None = None
+    """That this is so, or not so, as ``of_other_hand`` says; None where the category has one hand only, or where nobody
+    learned how to tell."""
 
     def in_mirror(self) -> Self:
         """The answer to what is seen in a mirror in the camera's plane x = 0."""
@@ -262,6 +265,7 @@ class Estimate(PoseEstimate):
                 "doubtful": self.doubtful,
                 "residual": self.residual,
                 "mirrored": self.of_other_hand,
+                "hand_probability": self.hand_probability,
                 "beta": self.beta,
                 "T_camera_base": self.T_camera_base,
                 "joints": self.joints,

@@ -4,9 +4,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.special import expit
 
 from omad.common.errors import InputError
 
+from ..checks import hand_doubts
 from ..confidence.model import CURE, FILE
 from ..estimate import Estimate
 
@@ -15,15 +17,25 @@ def surer_hands(
     plain: Sequence[Estimate], images: Sequence[Estimate], hand: Sequence[float], together: bool
 ) -> list[Estimate]:
     """Of each two answers, to an observation and to its mirror image, the one whose object is likelier of the
-    category's hand, as ``odds`` tells, or where there is no ``hand``, the one that expects the smaller errors of its
-    keypoints; of all views ``together`` where they show one object. Both take their time."""
+    category's hand, as ``odds`` tells, with how likely that is; or where there is no ``hand``, the one that expects the
+    smaller errors of its keypoints. Of all views ``together`` where they show one object. Both take their time."""
     pairs = list(zip(plain, images, strict=True))
     odds_for = np.array([[_for(estimate, hand) for estimate in pair] for pair in pairs])
     if together:
         odds_for[:] = odds_for.mean(0)
-    sides = odds_for.argmax(1)
-    chosen = [image.in_mirror() if side else own for side, (own, image) in zip(sides, pairs, strict=True)]
-    return [replace(estimate, seconds=_added(pair)) for estimate, pair in zip(chosen, pairs, strict=True)]
+    # either answer tells the odds, for itself and against the other: the mean of both
+    lead = (odds_for[:, 0] - odds_for[:, 1]) / 2
+    chosen = [own if ahead >= 0 else image.in_mirror() for ahead, (own, image) in zip(lead, pairs, strict=True)]
+    told = expit(np.abs(lead)).tolist() if hand else [None] * len(pairs)
+    return [
+        _with(estimate, _added(pair), probability)
+        for estimate, pair, probability in zip(chosen, pairs, told, strict=True)
+    ]
+
+
+def _with(estimate: Estimate, seconds: dict[str, float], probability: float | None) -> Estimate:
+    warnings = (*estimate.warnings, *map(str, hand_doubts(probability)))
+    return replace(estimate, seconds=seconds, hand_probability=probability, warnings=warnings)
 
 
 def odds(hand: Sequence[float], estimate: Estimate) -> float:
