@@ -60,6 +60,8 @@ def test_what_is_wrong_for_all_is_said_at_once(capsys):
     assert "--batch 0" in refused(capsys, *usual, "out.jsonl", "--batch", "0")
     Path("out.jsonl").write_text("precious")
     assert "out.jsonl: is there already" in refused(capsys, *usual, "out.jsonl")
+    os.mkfifo("piped.jsonl.part")
+    assert "piped.jsonl.part: is no file" in refused(capsys, *usual, "piped.jsonl")
 
 
 @pytest.mark.slow

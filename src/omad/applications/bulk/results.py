@@ -76,7 +76,9 @@ class Results:
             raise InputError(f"{path}: is there already; delete it, or give another --output")
         results = cls(path)
         make_folder(path.parent)
-        if not results.part.is_file():
+        if results.part.exists() and not results.part.is_file():  # a pipe would be waited for
+            raise InputError(f"{results.part}: is no file; delete it, or give another --output")
+        if not results.part.exists():
             write_json(results.run, made_of)
         elif read_json(results.run, f"delete {results.part}, or give another --output") != made_of:
             raise InputError(f"{results.part}: made with other inputs or settings; delete it, or give another --output")
