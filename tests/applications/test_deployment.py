@@ -65,9 +65,9 @@ def test_the_first_frame_is_the_estimators():
     import torch
 
     rng = np.random.default_rng(0)
-    for far in (0, 40):
-        cloud = rng.standard_normal((1, 201, 3)).astype(np.float32)
-        cloud[0, :far] += 9
+    clouds = [rng.standard_normal((1, 201, 3)).astype(np.float32) for _ in range(2)]
+    clouds[1][0, :40] += 9
+    for cloud in (*clouds, np.tile(9 * np.eye(3, dtype=np.float32), (1, 67, 1))):
         np.testing.assert_allclose(
             program_file.first_frame(cloud, 2.0), first_frame(torch.as_tensor(cloud))[0], atol=1e-6
         )

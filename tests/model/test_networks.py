@@ -167,3 +167,9 @@ def test_a_far_wall_does_not_move_the_first_frame():
     wall = torch.cat([4 * torch.rand(1, 100, 2), torch.full((1, 100, 1), 6.0)], -1)
     assert torch.allclose(first_frame(cloud)[0, :3, 3], cloud.mean(1)[0])
     assert torch.allclose(first_frame(torch.cat([cloud, wall], 1))[0, :3, 3], cloud.mean(1)[0], atol=1e-6)
+
+
+def test_a_cloud_in_pieces_far_from_its_median_has_a_first_frame():
+    corners = 9 * torch.eye(3).repeat(1, 50, 1)
+    both = torch.cat([corners, torch.rand(1, 150, 3)])
+    assert torch.allclose(first_frame(both)[:, :3, 3], both.mean(1))

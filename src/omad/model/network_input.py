@@ -23,12 +23,12 @@ FAR = 2.0
 
 def first_frame(points: Tensor) -> Tensor:
     """T_camera_input (B, 4, 4) of a first look: camera axes, moved to the cloud's mean, without points too far from its
-    median to be on the object. Points (B, N, 3) in category units."""
+    median to be on the object, unless all are. Points (B, N, 3) in category units."""
     eye = torch.eye(3, dtype=points.dtype, device=points.device).expand(len(points), 3, 3)
     far = (points - points.median(1, keepdim=True).values).square().sum(-1) > FAR**2
     if not far.any():
         return make_transform(eye, points.mean(1))
-    near = ~far[..., None]
+    near = (~far | far.all(1, keepdim=True))[..., None]
     return make_transform(eye, (points * near).sum(1) / near.sum(1))
 
 

@@ -299,12 +299,13 @@ class Program:
 
 
 def first_frame(clouds: np.ndarray, far: float) -> np.ndarray:
-    """T_camera_input (4, 4): camera axes, moved to the mean of the points that are not ``far`` from their median."""
+    """T_camera_input (4, 4): camera axes, moved to the mean of the points that are not ``far`` from their median, or of
+    all, if all are."""
     points = clouds.reshape(-1, 3)
     median = np.sort(points, axis=0)[(len(points) - 1) // 2]
     near = np.square(points - median).sum(1) <= far**2
     frame = np.eye(4)
-    frame[:3, 3] = points[near].mean(0, dtype=np.float64)
+    frame[:3, 3] = points[near | (not near.any())].mean(0, dtype=np.float64)
     return frame
 
 
