@@ -25,9 +25,10 @@ def generate(rng: np.random.Generator, category: Category, unusual: np.random.Ge
     base = rng.choice([0.0, rng.uniform(0.02, 0.12), rng.uniform(0.05, 0.25)])
     tall = float(np.clip(tall, 0.6, (1.8 if pair else 1.65) - base))
     beside, stack = _open_parts(rng, width, tall, pair)
-    case = Case(width, base + tall, depth, wall, wall + beside, wall + stack[0], wall + stack[1], 0.4 * wall, base)
-    outer = case.front
-    outer = replace(outer, x1=outer.x1 - beside, y0=outer.y0 + stack[0], y1=outer.y1 - stack[1])
+    left, right, bottom, top = wall + beside[0], wall + beside[1], wall + stack[0], wall + stack[1]
+    case = Case(width, base + tall, depth, left, right, bottom, top, 0.4 * wall, base)
+    whole = case.front
+    outer = Rect(whole.x0 + beside[0], whole.x1 - beside[1], whole.y0 + stack[0], whole.y1 - stack[1])
     door, body = fitted(rng, outer, case.mouth, thickness, 0.35)
     framed = bool(body)
     body += _carcass(rng, case, beside, stack, wall)
@@ -68,27 +69,30 @@ def _hung(
     return JointedParts((merge_meshes(body), *moving), np.array(pivots))
 
 
-def _open_parts(rng: np.random.Generator, width: float, tall: float, pair: bool) -> tuple[float, np.ndarray]:
-    """How much of the front, on the right, below and above, no door closes."""
-    beside = width * rng.uniform(0.2, 0.45) if not pair and width > 0.5 and rng.random() < 0.45 else 0.0
+def _open_parts(rng: np.random.Generator, width: float, tall: float, pair: bool) -> tuple[np.ndarray, np.ndarray]:
+    """How much of the front no door closes: left and right of them, and below and above."""
+    aside = width * rng.uniform(0.2, 0.45) if not pair and width > 0.5 and rng.random() < 0.45 else 0.0
+    middle = aside > 0.15 and rng.random() < 0.4
+    before, aside = (rng.uniform(0.35, 0.65), rng.uniform(1.0, 1.5) * aside) if middle else (0.0, aside)
     stack = tall * rng.uniform(0.15, 0.45, 2) * (rng.random(2) < (0.15, 0.15))
-    return beside, stack
+    return aside * np.array([before, 1 - before]), stack
 
 
-def _carcass(rng: np.random.Generator, case: Case, beside: float, stack: np.ndarray, wall: float) -> list[Mesh]:
+def _carcass(rng: np.random.Generator, case: Case, beside: np.ndarray, stack: np.ndarray, wall: float) -> list[Mesh]:
     """The walls, with shelves behind the doors and in the open parts."""
     if rng.random() < 0.1:
         return [case.front.slab(-case.depth, 0.0)]
-    whole = replace(case, right=wall, bottom=wall, top=wall)
-    mouth, back = case.mouth, -case.depth + case.back
+    whole = replace(case, left=wall, right=wall, bottom=wall, top=wall)
+    mouth, inner, back = case.mouth, whole.mouth, -case.depth + case.back
     solids = [*whole.walls(), *shelves(rng, case, 4)]
-    inner = whole.mouth
-    if beside:
-        solids.append(box((mouth.x1, inner.y0, back), (mouth.x1 + wall, inner.y1, 0.0)))
-        side = replace(whole, left=mouth.x1 + wall - case.front.x0)
-        solids += shelves(rng, side, 4)
+    for side, (open_part, edge) in enumerate(zip(beside, (mouth.x0 - wall, mouth.x1), strict=True)):
+        if open_part:
+            solids.append(box((edge, inner.y0, back), (edge + wall, inner.y1, 0.0)))
+            room = {"left": edge + wall - case.front.x0} if side else {"right": case.front.x1 - edge}
+            solids += shelves(rng, replace(whole, **room), 4)
+    low, high = mouth.x0 - wall * bool(beside[0]), mouth.x1
     if stack[0]:
-        solids.append(box((inner.x0, mouth.y0 - wall, back), (inner.x1 - beside, mouth.y0, 0.0)))
+        solids.append(box((low, mouth.y0 - wall, back), (high, mouth.y0, 0.0)))
     if stack[1]:
-        solids.append(box((inner.x0, mouth.y1, back), (inner.x1 - beside, mouth.y1 + wall, 0.0)))
+        solids.append(box((low, mouth.y1, back), (high, mouth.y1 + wall, 0.0)))
     return solids
