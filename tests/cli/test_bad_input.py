@@ -330,9 +330,10 @@ def test_counts_must_be_above_zero(command, value, capsys):
 
 
 def test_more_objects_than_a_machine_can_bear_are_refused_at_once(capsys):
-    for command in ("generate --output x", "render --output x", "train prior --output x"):
-        line = refused(capsys, *command.split(), *LAPTOP, "--objects", "200000")
-        assert "--objects" in line
+    asked = {name: "--objects" for name in ("generate", "render", "train prior")} | {"train net": "--variants"}
+    for command, option in asked.items():
+        line = refused(capsys, *command.split(), "--output", "x", *LAPTOP, option, "200000")
+        assert option in line
         assert "OMAD_LIMITS" in line
     assert not Path("x").exists()
 

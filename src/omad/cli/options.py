@@ -205,17 +205,22 @@ def load_prior(folder: Path, device: str) -> PriorNet:
     return checkpoint.load(PriorNet, folder).to(pick_device(device))
 
 
+LIMITED = {name: "objects" for name in ("objects", "variants", "strangers", "gallery")}
+LIMITED |= {name: "views" for name in ("views", "queries", "draws")}
+"""Options that are counts, and the limit of each."""
+
+
 def check_positive(**options: float | None) -> None:
-    """Raises InputError for an option that is not above zero, and for more objects or views than a machine can bear;
-    None is an option that was not given."""
+    """Raises InputError for an option that is not above zero, and for more than a machine can bear (``LIMITED``); None is
+    an option that was not given."""
     for name, value in options.items():
         if value is not None and not (0 < value <= LARGEST and (isinstance(value, int) or value >= 1 / LARGEST)):
             if value > LARGEST:
                 raise InputError(f"--{name.replace('_', '-')} {shown(value)}: must be at most {LARGEST:g}")
             need = "at least 1" if isinstance(value, int) else "a number above 0"
             raise InputError(f"--{name.replace('_', '-')} {value}: must be {need}")
-        if value is not None and name in ("objects", "views"):
-            check_limit(name, value, f"--{name}")
+        if value is not None and name in LIMITED:
+            check_limit(LIMITED[name], value, f"--{name}")
 
 
 def check_workers(workers: int) -> int:

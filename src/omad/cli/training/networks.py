@@ -92,7 +92,7 @@ class _Training:
 
     def learn(self, train: Callable[..., Network], preset: Any, **begun: Any) -> Answer:
         """Train with the ``preset``, but for what the options say otherwise, and save it. Raises InputError."""
-        check_positive(objects=self.objects)
+        check_positive(objects=self.objects, variants=self.variants or None)
         schedule = self.schedule.of(preset.schedule)
         processes = self.several.start()
         with processes.heard():
