@@ -211,8 +211,8 @@ LIMITED |= {name: "views" for name in ("views", "queries", "draws")}
 
 
 def check_positive(**options: float | None) -> None:
-    """Raises InputError for an option that is not above zero, and for more than a machine can bear (``LIMITED``); None is
-    an option that was not given."""
+    """Raises InputError for an option that is not above zero, and for more than a machine can bear (``LIMITED``);
+    None is an option that was not given."""
     for name, value in options.items():
         if value is not None and not (0 < value <= LARGEST and (isinstance(value, int) or value >= 1 / LARGEST)):
             if value > LARGEST:
