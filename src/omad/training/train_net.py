@@ -42,9 +42,10 @@ category units; others are half an object away, as the order of keypoints is lef
 
 @dataclass(frozen=True)
 class NetLossWeights:
-    """The paper's weights, and two of our own: ``confidence`` teaches each keypoint's expected error, ``refinement``
-    to place keypoints so that the refined answer is right (``refinement_loss``). That one is for fine-tuning, 6 is a
-    good weight: from nothing, it only disturbs the learning of keypoints."""
+    """The paper's weights, and three of our own: ``confidence`` teaches each keypoint's expected error, ``hand`` to
+    tell a cloud from its mirror image, ``refinement`` to place keypoints so that the refined answer is right
+    (``refinement_loss``). That one is for fine-tuning, 6 is a good weight: from nothing, it only disturbs the learning
+    of keypoints."""
 
     keypoints: float = 5.0
     segmentation: float = 1.0
@@ -56,7 +57,7 @@ class NetLossWeights:
     confidence: float = 0.1
     refinement: float = 0.0
     hand: float = 0.5
-    """Of categories whose objects may be of either hand: to tell a cloud from its mirror image."""
+    """Only of categories whose objects may be of either hand."""
     outside: float = 3.0
     """How many times a point that is not on the object counts in ``segmentation``: one that is dropped in vain does
     little harm, one that stays does much."""
