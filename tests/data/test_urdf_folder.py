@@ -171,6 +171,13 @@ def extra_joint(root, name: str, parent: str, child: str, kind: str, **limits: s
         ElementTree.SubElement(joint, "limit", limits)
 
 
+def test_a_shape_whose_origin_is_no_number_is_refused(tmp_path):
+    file = write_urdf(plain_laptop(), tmp_path / "laptop.urdf")
+    file.write_text(file.read_text().replace('xyz="0.0 0.0 0.0"', 'xyz="nan"', 1))
+    with pytest.raises(InputError, match=r"laptop\.urdf: link .* no proper origin"):
+        read_articulation(file)
+
+
 def test_extra_links_are_folded_into_what_carries_them(tmp_path):
     plain = plain_dishwasher()
     low, high = np.array([-0.02, 0.2, 0.275]), np.array([0.02, 0.24, 0.285])

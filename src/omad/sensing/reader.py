@@ -9,7 +9,8 @@ from typing import Literal, Self
 
 import numpy as np
 
-from omad.common.errors import InputError, named
+from omad.common.errors import InputError, named, shown
+from omad.common.incoming import is_file
 from omad.geometry.camera import Camera
 
 from .beside import Beside, is_companion
@@ -205,8 +206,8 @@ def files_in(folder: Path, pattern: str = "[!.]*") -> list[Path]:
 
 
 def _existing(file: Path) -> None:
-    if not file.is_file():
-        raise InputError(f"{file}: no such file or folder; give a depth image, a cloud, or a folder of them")
+    if not is_file(file):
+        raise InputError(f"{shown(file)}: no such file or folder; give a depth image, a cloud, or a folder of them")
 
 
 def parse_numbers(text: str, count: int, name: str) -> list[float]:

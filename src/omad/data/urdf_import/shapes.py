@@ -57,7 +57,12 @@ def link_mesh(link: Any, T_model_link: np.ndarray, files: MeshFiles) -> Mesh:
     for element in link.visuals or link.collisions:
         mesh = _shape(link.name, element.geometry, files)
         if mesh is not None:
-            meshes.append(mesh.carried(T_model_link if element.origin is None else T_model_link @ element.origin))
+            T = T_model_link if element.origin is None else T_model_link @ element.origin
+            if not np.isfinite(T).all():
+                raise InputError(
+                    f"{files.urdf}: link {link.name!r} has a shape of no proper origin; give finite numbers"
+                )
+            meshes.append(mesh.carried(T))
     return merge_meshes(meshes)
 
 
