@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from helpers.categories import DRAWER, EYEGLASSES, LAPTOP, SCISSORS
+from omad.common.errors import InputError
+from omad.evaluation.evaluate import summary
 from omad.evaluation.metrics import bootstrap_interval, missing_errors, pose_errors, summarise
 from omad.objects.pose import ObjectPose
 
@@ -118,3 +120,8 @@ def test_glasses_seen_from_behind_are_flipped_and_their_temples_swapped():
     assert [(e.flipped, e.swapped) for e in found] == [(False, False), (True, True)]
     table = summarise(found, np.ones(2), EYEGLASSES)
     assert (table["flipped"], table["swapped"]) == (0.5, 0.5)
+
+
+def test_no_results_make_no_summary():
+    with pytest.raises(InputError, match="nowhere: none of its views"):
+        summary([], LAPTOP, "nowhere")

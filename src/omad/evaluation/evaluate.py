@@ -9,6 +9,7 @@ import numpy as np
 import torch
 
 from omad.common.batches import batched, progress
+from omad.common.errors import InputError
 from omad.data.rendering.standard_views import View, observe_all
 from omad.estimation.estimate import Estimate
 from omad.estimation.estimator import Estimator
@@ -87,7 +88,10 @@ def measure(estimator: Estimator, views: list[View], to_surface: bool = False) -
 
 
 def summary(results: Sequence[Measured], category: Category, source: str) -> dict[str, Any]:
-    """The promised JSON of ``omad eval pose`` as plain values (degrees where a key says so, else metres)."""
+    """The promised JSON of ``omad eval pose`` as plain values (degrees where a key says so, else metres). Raises
+    InputError where there are no results."""
+    if not results:
+        raise InputError(f"{source}: none of its views shows enough of an object; check its camera and its images")
     diagonals = np.array([r.diagonal for r in results])
     names = np.array([r.object for r in results])
     times = [r.seconds for r in results if r.seconds]
