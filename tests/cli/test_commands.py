@@ -1,7 +1,6 @@
-"""The command line keeps its promises: JSON, exit codes, help, every format, resumption, its own outputs as inputs."""
+"""The command line keeps its promises: JSON, exit codes, every format, resumption, its own outputs as inputs."""
 
 import json
-import re
 import subprocess
 import sys
 from pathlib import Path
@@ -13,19 +12,11 @@ from PIL import Image
 from safetensors.numpy import load_file
 
 from helpers.command_line import LAPTOP, K, answer, cloud, laptop_view, save_png
-from omad import __version__
-from omad.cli.main import COMMANDS, Group, run
+from omad.cli.main import run
 from omad.data.rendering import view_folder
 from omad.data.rendering.tabletop import draw_tabletop
 from omad.training import loop as training
 
-HEAVY = {"torch", "numpy", "scipy", "numba", "matplotlib", "trimesh", "PIL"}
-"""Packages that take long to import."""
-ALL = [
-    f"{name} {part}".strip()
-    for name, command in COMMANDS.items()
-    for part in (command.commands if isinstance(command, Group) else [""])
-]
 SMALL = ["--objects", "4", "--batch", "4", "--threads", "1", "--device", "cpu"]
 
 
@@ -350,51 +341,6 @@ def use_weights(capsys, folder: str) -> None:
     )
     assert own["refined"] == exported["refined"]
     assert own["refined"] != answer(capsys, "eval", "pose", *LAPTOP, *few)["refined"]  # a folder of that name is used
-
-
-@pytest.mark.parametrize("command", ALL)
-def test_help_explains_every_option(command, capsys):
-    with pytest.raises(SystemExit) as stop:
-        run([*command.split(), "--help"])
-    assert stop.value.code == 0
-    text = " ".join(capsys.readouterr().out.replace("│", " ").split())
-    options = [entry for entry in re.split(r" (?=--?[a-z][a-z-]*[ ,])", text) if entry.startswith("--")]
-    assert any("--json" in option for option in options)
-    silent = [o for o in options if re.fullmatch(r"--[\w-]+( [^ ]+)? (\([^)]*\))", o.strip())]
-    assert not silent
-    if command in ("demo", "estimate", "eval pose", "eval keypoints", "eval views"):
-        assert {"--weights", "--device"} <= {option.split()[0] for option in options}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        [],
-        ["nonsense"],
-        ["demo", "--objects", "many"],
-        ["estimate", "d.png"],
-        ["estimate", "d.png", *LAPTOP, "--segment", "sky"],
-    ],
-)
-def test_wrong_usage_exits_with_two(arguments, capsys):
-    with pytest.raises(SystemExit) as stop:
-        run(arguments)
-    assert stop.value.code == 2
-    assert capsys.readouterr().out == ""
-
-
-@pytest.mark.parametrize("command", ["", *ALL])
-def test_help_loads_nothing_heavy(command):
-    code = "import sys; from omad.cli.main import parse\ntry: parse(sys.argv[1:])\nfinally: print(*sys.modules)"
-    asked = [sys.executable, "-c", code, *command.split(), "--help"]
-    loaded = subprocess.run(asked, capture_output=True, text=True, check=True).stdout.splitlines()[-1]
-    assert not HEAVY & set(loaded.split())
-
-
-def test_version(capsys):
-    assert run(["--version"]) == 0
-    assert capsys.readouterr().out.strip() == __version__
 
 
 @pytest.mark.slow

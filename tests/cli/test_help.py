@@ -1,0 +1,64 @@
+"""Every command explains itself at once, and refuses what it does not know."""
+
+import re
+import subprocess
+import sys
+
+import pytest
+
+from helpers.command_line import LAPTOP
+from omad import __version__
+from omad.cli.main import COMMANDS, Group, run
+
+HEAVY = {"torch", "numpy", "scipy", "numba", "matplotlib", "trimesh", "PIL"}
+"""Packages that take long to import."""
+ALL = [
+    f"{name} {part}".strip()
+    for name, command in COMMANDS.items()
+    for part in (command.commands if isinstance(command, Group) else [""])
+]
+
+
+@pytest.mark.parametrize("command", ALL)
+def test_help_explains_every_option(command, capsys):
+    with pytest.raises(SystemExit) as stop:
+        run([*command.split(), "--help"])
+    assert stop.value.code == 0
+    text = " ".join(capsys.readouterr().out.replace("│", " ").split())
+    options = [entry for entry in re.split(r" (?=--?[a-z][a-z-]*[ ,])", text) if entry.startswith("--")]
+    assert any("--json" in option for option in options)
+    silent = [o for o in options if re.fullmatch(r"--[\w-]+( [^ ]+)? (\([^)]*\))", o.strip())]
+    assert not silent
+    if command in ("demo", "estimate", "eval pose", "eval keypoints", "eval views"):
+        assert {"--weights", "--device"} <= {option.split()[0] for option in options}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        [],
+        ["nonsense"],
+        ["demo", "--objects", "many"],
+        ["estimate", "d.png"],
+        ["estimate", "d.png", *LAPTOP, "--segment", "sky"],
+    ],
+)
+def test_wrong_usage_exits_with_two(arguments, capsys):
+    with pytest.raises(SystemExit) as stop:
+        run(arguments)
+    assert stop.value.code == 2
+    assert capsys.readouterr().out == ""
+
+
+@pytest.mark.parametrize("command", ["", *ALL])
+def test_help_loads_nothing_heavy(command):
+    code = "import sys; from omad.cli.main import parse\ntry: parse(sys.argv[1:])\nfinally: print(*sys.modules)"
+    asked = [sys.executable, "-c", code, *command.split(), "--help"]
+    loaded = subprocess.run(asked, capture_output=True, text=True, check=True).stdout.splitlines()[-1]
+    assert not HEAVY & set(loaded.split())
+
+
+def test_version(capsys):
+    assert run(["--version"]) == 0
+    assert capsys.readouterr().out.strip() == __version__
