@@ -28,6 +28,7 @@ from omad.model.omadnet import OmadNet
 from omad.model.priornet import PriorNet
 from omad.objects.category import Category
 
+TITLE = "## "
 PAGE = Path(__file__).parent.parent / "docs" / "models.md"
 INTRO = """# Model cards
 
@@ -44,7 +45,7 @@ class Config:
     """What to write about."""
 
     categories: tuple[str, ...] = ()
-    """Default: all with weights."""
+    """Default: all with weights; the others' cards stay."""
     models: Path | None = None
     views: int = 100
     """Of each line."""
@@ -52,8 +53,10 @@ class Config:
 
 
 def main(config: Config) -> None:
-    cards = [card(config, name) for name in config.categories or shipped_categories()]
-    write_atomic(PAGE, lambda path: path.write_text("\n".join([INTRO, *cards])))
+    before = {part.split()[0]: f"{TITLE}{part}" for part in PAGE.read_text().split(TITLE)[1:]}
+    made = {name: card(config, name) for name in config.categories or shipped_categories()}
+    cards = [(before | made)[name] for name in shipped_categories()]
+    write_atomic(PAGE, lambda path: path.write_text("\n".join([INTRO, *(text.rstrip() + "\n" for text in cards)])))
     print(PAGE)
 
 
@@ -73,7 +76,7 @@ def card(config: Config, name: str) -> str:
         + (f" and {net.own_states:.0%} the network's own" * bool(net.own_states)),
         "limits": limits(net.category),
     }
-    lines = [f"## {name}", "", "| | |", "|---|---|", *(f"| {key} | {value} |" for key, value in facts.items()), ""]
+    lines = [f"{TITLE}{name}", "", "| | |", "|---|---|", *(f"| {key} | {value} |" for key, value in facts.items()), ""]
     lines += [
         "| objects | noise | joint state | joint axis | base rotation | within 5° 5 % |",
         "|---|---|---|---|---|---|",

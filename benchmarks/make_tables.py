@@ -3,8 +3,9 @@
     OMP_NUM_THREADS=1 python benchmarks/make_tables.py [--models FOLDER] [--categories laptop drawer]
 
 ``--models``: a folder with one sub-folder of URDF or PartNet-Mobility models a category (``FOLDER/laptop/...``);
-without it the table of foreign models stays as it is. Tables stand between ``<!-- name -->`` and ``<!-- end -->`` in
-docs/results.md, a short one in the README. Answers are kept in ``--cache`` and made anew only where they are missing.
+without it the table of foreign models stays as it is, as do rows of categories that are not asked for. Tables stand
+between ``<!-- name -->`` and ``<!-- end -->`` in docs/results.md, a short one in the README. Answers are kept in
+``--cache`` and made anew only where they are missing.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import json
 import re
 import sys
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -139,21 +141,42 @@ def models_table(config: Config, models: Path) -> list[str]:
     return [*lines, "", "Refused:", "", *refused] if refused else lines
 
 
-def replaced(text: str, name: str, lines: list[str]) -> str:
-    """``text`` with what stands between the marks of ``name`` exchanged."""
-    pattern = re.compile(rf"(<!-- {name} -->\n).*?(<!-- end -->)", re.DOTALL)
-    return pattern.sub(lambda match: match[1] + "\n".join(lines) + "\n" + match[2], text)
+def replaced(text: str, name: str, lines: list[str], some: tuple[str, ...]) -> str:
+    """``text`` with what stands between the marks of ``name`` exchanged; where ``lines`` are of ``some`` categories,
+    only theirs."""
+    pattern = re.compile(rf"(<!-- {name} -->\n)(.*?)\n(<!-- end -->)", re.DOTALL)
+
+    def exchanged(match: re.Match[str]) -> str:
+        after = put_in(match[2].splitlines(), lines, some) if some else lines
+        return match[1] + "\n".join(after) + "\n" + match[3]
+
+    return pattern.sub(exchanged, text)
+
+
+def put_in(before: list[str], lines: list[str], some: tuple[str, ...]) -> list[str]:
+    """Rows of ``some`` categories where they were ``before``, new ones at the end."""
+    rows = {name: [line for line in lines if whose(line) == name] for name in some}
+    after = list[str]()
+    for line in before:
+        after += rows.pop(whose(line), []) if whose(line) in some else [line]
+    return [*after, *chain(*rows.values())]
+
+
+def whose(line: str) -> str:
+    """Category that a row begins with."""
+    return line.split()[1] if line.startswith("| ") else ""
 
 
 def main(config: Config) -> None:
-    if not config.categories:
+    some = config.categories
+    if not some:
         names = (*PAPER, *(name for name in shipped_categories() if name not in PAPER))
         config = replace(config, categories=names)
-    short = replaced(README.read_text(), "accuracy", short_table(config))
+    short = replaced(README.read_text(), "accuracy", short_table(config), some)
     write_atomic(README, lambda path: path.write_text(short))
-    text = replaced(PAGE.read_text(), "procedural", procedural_table(config))
+    text = replaced(PAGE.read_text(), "procedural", procedural_table(config), some)
     if config.models is not None:
-        text = replaced(text, "models", models_table(config, config.models))
+        text = replaced(text, "models", models_table(config, config.models), some)
     write_atomic(PAGE, lambda path: path.write_text(text))
 
 

@@ -1,7 +1,6 @@
 """A folder that is an estimator: two graphs, numbers, and a program that needs NumPy and ONNX Runtime alone."""
 
 import copy
-import shutil
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -9,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from omad.common.files import make_folder, write_atomic, write_json, write_text
+from omad.common.files import make_folder, write_json, write_text
 from omad.estimation import estimator as looking
 from omad.estimation.estimator import Estimator, EstimatorConfig
-from omad.estimation.looks import shown
+from omad.estimation.looks import relief, shown
 from omad.model import network_input
 from omad.model.fitting.energy import ShapePrior
 from omad.model.omadnet import OmadNet
@@ -22,7 +21,7 @@ from omad.sensing.observation import MIN_POINTS
 from . import program
 from .graphs import energy_graph, network_graph
 
-NUMBERS, PROGRAM, NEEDS = "estimator.json", "estimate.py", "requirements.txt"
+NUMBERS, PROGRAM, BESIDE, NEEDS = "estimator.json", "estimate.py", "relief.py", "requirements.txt"
 NETWORK, ENERGY = "network.onnx", "energy.onnx"
 
 
@@ -34,10 +33,11 @@ def deploy(estimator: Estimator, folder: Path) -> list[str]:
     network_graph(net).save(folder / NETWORK)
     write_json(folder / NUMBERS, numbers(net, estimator.config, estimator.hand), indent=1)
     energy_graph(net.prior).save(folder / ENERGY)  # whose numbers are doubles from here on
-    source = Path(program.__file__)
-    write_atomic(folder / PROGRAM, lambda path: shutil.copyfile(source, path))
+    source = Path(program.__file__).read_text(encoding="utf-8")
+    write_text(folder / PROGRAM, source.replace(f"from {relief.__name__} import", "from relief import"))
+    write_text(folder / BESIDE, Path(relief.__file__).read_text(encoding="utf-8"))
     write_text(folder / NEEDS, "numpy>=1.26\nonnxruntime>=1.20\n")
-    return [NETWORK, ENERGY, NUMBERS, PROGRAM, NEEDS]
+    return [NETWORK, ENERGY, NUMBERS, PROGRAM, BESIDE, NEEDS]
 
 
 def numbers(net: OmadNet, config: EstimatorConfig, hand: Sequence[float]) -> dict[str, Any]:
@@ -50,6 +50,7 @@ def numbers(net: OmadNet, config: EstimatorConfig, hand: Sequence[float]) -> dic
         "turning": list(category.turning),
         "either_hand": category.either_hand,
         "hand": list(hand),
+        "part_of_keypoint": list(category.part_of_keypoint),
         "metres_per_unit": category.metres_per_unit,
         "state_units": np.asarray(category.state_units).tolist(),
         "limits": [list(joint.limits) for joint in category.joints],

@@ -1,6 +1,6 @@
 """Shape, pose, joint states and joint axes of one articulated object, from the points of one depth view.
 
-This file lies in a folder with two ONNX graphs and a table of numbers, and needs NumPy and ONNX Runtime alone:
+This file lies in a folder with ``relief.py``, two ONNX graphs and a table of numbers; it needs NumPy and ONNX Runtime:
 
     python estimate.py points.npy
     python estimate.py depth.npy --intrinsics 600,600,319.5,239.5 --mask mask.npy
@@ -22,6 +22,8 @@ from typing import Any
 
 import numpy as np
 import onnxruntime
+
+from omad.estimation.looks.relief import relief
 
 MIRROR = np.array([-1.0, 1.0, 1.0])
 HALF_TURNS = [np.diag([*signs, 1.0]) for signs in ((1, -1, -1), (-1, 1, -1), (-1, -1, 1))]
@@ -156,7 +158,7 @@ class Program:
             look, fit = self._turned(clouds, look, fit)
         if numbers["own_states"]:
             fit = self._leaning(fit, look)
-        return self._told(fit, look)
+        return self._told(fit, look, points)
 
     def _turned(self, clouds: np.ndarray, look: Look, fit: Fit) -> tuple[Look, Fit]:
         """The surest of the answers that begin in frames turned by half, if it is much surer than that given."""
@@ -188,8 +190,7 @@ class Program:
         return Look(seen, weights, row, pooled.mean(0), logits.reshape(-1, logits.shape[-1]))
 
     def _crowded(self, logits: np.ndarray) -> bool:
-        margin = logits[:, -1] - logits[:, :-1].max(1)
-        return bool((margin > self.numbers["sure"]).mean() > self.numbers["few"])
+        return bool((logits[:, -1] - logits[:, :-1].max(1) > self.numbers["sure"]).mean() > self.numbers["few"])
 
     def _on_object(self, points: np.ndarray, logits: np.ndarray) -> np.ndarray:
         """Which points are: those whose nearest neighbour among the labelled is."""
@@ -209,8 +210,7 @@ class Program:
     def _refine(self, look: Look, row: np.ndarray | None) -> Fit:
         """Levenberg-Marquardt on the energy, from ``row`` or from the look's own state with a fitted base."""
         if row is None:
-            row = look.row.copy()
-            row[:16] = np.eye(4).ravel()
+            row = np.append(np.eye(4), look.row[16:])
             row[:16] = fit_transform(self._at(row)[0], look.keypoints, look.weights).ravel()
         trust, end = self.numbers["trust_region"], self.numbers["termination"]
         cost, gradient, hessian, residual = self._energy_at(row, look)
@@ -228,8 +228,7 @@ class Program:
             if gained > 0:
                 converged = longest < end["step_tolerance"] or gained < end["cost_tolerance"] * cost
                 damping *= max(1 - (2 * gained / promised - 1) ** 3, 1 / 3)
-                growth, row = 2.0, trial
-                cost, gradient, hessian, residual = found
+                growth, row, (cost, gradient, hessian, residual) = 2.0, trial, found
             else:  # rounding may hide the last decrease
                 tiny = promised <= 8 * np.finfo(float).eps * cost
                 converged = tiny or (longest < end["step_tolerance"] and damping <= 1)
@@ -273,28 +272,29 @@ class Program:
         wanted = self.numbers["own_states"] * (look.row[16 : 16 + self._joints] - fit.row[16 : 16 + self._joints])
         gain = fit.covariance[:, joints] @ np.linalg.inv(fit.covariance[joints, joints])
         row = self._moved(fit.row, gain @ wanted)
-        apart = np.square(self._at(row)[0] - look.keypoints).sum(1)
-        return replace(fit, row=row, residual=float(np.sqrt(apart.mean())))
+        return replace(fit, row=row, residual=float(np.sqrt(np.square(self._at(row)[0] - look.keypoints).sum(1).mean())))
 
-    def _told(self, fit: Fit, look: Look) -> Answer:
-        unit, J, units = self.numbers["metres_per_unit"], self._joints, np.array(self.numbers["state_units"])
-        points, _, _, axes, pivots, parts = self._at(fit.row)
-        parts = parts.copy()
+    def _told(self, fit: Fit, look: Look, points: np.ndarray) -> Answer:
+        numbers, J, whose = self.numbers, self._joints, self.numbers["part_of_keypoint"]
+        unit, units, hand = numbers["metres_per_unit"], np.array(numbers["state_units"]), np.array(numbers["hand"])
+        keypoints, _, _, axes, pivots, parts = self._at(fit.row)
+        parts, keypoints, pivots = parts.copy(), keypoints * unit, pivots * unit
         parts[:, :3, 3] *= unit
-        hand, sure = np.array(self.numbers["hand"]), -float(np.log(look.expected_error))
         told = np.append(look.pooled, -parts[0, 1, 1])
+        if len(hand) and self._turning[0]:
+            told = np.append(told, relief(points, keypoints, whose, parts, axes[0], pivots[0], unit))
         return Answer(
             beta=fit.row[16 + J :],
             joint_states=fit.row[16 : 16 + J] * units,
             state_std=np.sqrt(fit.covariance.diagonal()[6 : 6 + J].clip(0)) * units,
             axes=axes,
-            pivots=pivots * unit,
+            pivots=pivots,
             T_camera_part=parts,
-            keypoints=points * unit,
+            keypoints=keypoints,
             keypoint_std=unit / np.sqrt(look.weights),
             residual=fit.residual * unit,
             converged=bool(fit.converged),
-            hand=float(told @ hand[:-1] + hand[-1]) if len(hand) else sure,
+            hand=float(told @ hand[:-1] + hand[-1]) if len(hand) else -float(np.log(look.expected_error)),
         )
 
 

@@ -1,15 +1,20 @@
 """Which of two mirror images an object is: learned from what a network makes of views of both."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from itertools import chain
 
 import numpy as np
 from scipy.optimize import minimize
 from scipy.special import expit
 
 from omad.common.batches import batched, progress
+from omad.data.rendering.depth_noise import ON
+from omad.data.rendering.standard_views import View, standard_view
 from omad.estimation.estimator import Estimator
 from omad.estimation.known import Known
 from omad.estimation.looks.either_hand import told
+from omad.objects.category import Category
 from omad.objects.model import ObjectModel
 
 from ..evaluate import true_pose
@@ -19,14 +24,17 @@ from .views import examples
 BATCH = 32
 DECAY = 3e-3
 """Of the squared weights."""
+SHUT = 0.07
+"""Share of their ranges within which joints are in half of the views, which are not spoilt: there a hand is hard to
+tell, and only what is well seen tells it."""
 
 
 def fit_hand(estimator: Estimator, models: Sequence[ObjectModel], views: int, seed: int) -> tuple[float, ...]:
     """``Confidence.hand`` of a category whose objects may be of either hand, from so many views of the ``models``, each
     with its mirror image."""
     known, right = list[np.ndarray](), list[bool]()
-    shown = (one.view for one in examples(models, estimator.category, views, seed) if one.of_category)
-    for some in batched(progress(shown, None), BATCH):
+    spoilt = (one.view for one in examples(models, estimator.category, views // 2, seed) if one.of_category)
+    for some in batched(progress(chain(spoilt, _shut(models, estimator.category, views // 2, seed)), None), BATCH):
         both = estimator.of_each_hand([view.observation() for view in some], Known())
         for view, *pair in zip(some, *both, strict=True):
             truth = true_pose(view, estimator.category)
@@ -35,6 +43,14 @@ def fit_hand(estimator: Estimator, models: Sequence[ObjectModel], views: int, se
                 known.append(told(estimate))
                 right.append(not found.flipped and bool((found.axis < np.pi / 2).all()))
     return logistic(np.stack(known), np.array(right))
+
+
+def _shut(models: Sequence[ObjectModel], category: Category, views: int, seed: int) -> Iterator[View]:
+    """So many views of the ``models``, nearly at rest."""
+    for index in range(views):
+        model = models[index % len(models)]
+        model = replace(model, limits=SHUT * np.random.default_rng((seed, index)).random() * model.limits)
+        yield standard_view(model, category, (seed, index), ON)
 
 
 def logistic(inputs: np.ndarray, true: np.ndarray) -> tuple[float, ...]:
