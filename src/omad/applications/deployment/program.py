@@ -272,7 +272,8 @@ class Program:
         wanted = self.numbers["own_states"] * (look.row[16 : 16 + self._joints] - fit.row[16 : 16 + self._joints])
         gain = fit.covariance[:, joints] @ np.linalg.inv(fit.covariance[joints, joints])
         row = self._moved(fit.row, gain @ wanted)
-        return replace(fit, row=row, residual=float(np.sqrt(np.square(self._at(row)[0] - look.keypoints).sum(1).mean())))
+        apart = np.square(self._at(row)[0] - look.keypoints).sum(1)
+        return replace(fit, row=row, residual=float(np.sqrt(apart.mean())))
 
     def _told(self, fit: Fit, look: Look, points: np.ndarray) -> Answer:
         numbers, J, whose = self.numbers, self._joints, self.numbers["part_of_keypoint"]
@@ -385,9 +386,8 @@ def main() -> int:
     if options.intrinsics:
         mask = np.load(options.mask, allow_pickle=False) if options.mask else None
         points = back_projected(points, [float(number) for number in options.intrinsics.split(",")], mask)
-    program = Program()
     try:
-        answer = asdict(program(points))
+        answer = asdict((program := Program())(points))
     except ValueError as error:
         print(error, file=sys.stderr)
         return 2
