@@ -18,6 +18,7 @@ from omad.applications.retrieval.index import Entry, ShapeIndex
 from omad.applications.retrieval.large import large_index
 from omad.applications.retrieval.large.large_index import LargeIndex, open_index
 from omad.applications.retrieval.large.lists import PROBES, ListSearch, learn_centres, sorted_into_lists, write_lists
+from omad.applications.retrieval.large.manifest import Manifest
 from omad.applications.retrieval.large.parts import Portion
 from omad.applications.retrieval.large.stream import _whole_objects
 from omad.applications.retrieval.signature import Signature, Space
@@ -162,6 +163,9 @@ def test_damaged_files_are_refused_and_never_read_beyond_their_end(tmp_path):
     LargeIndex.create(tmp_path, SPACE).add(stream(1000), "numbers")
     for path in sorted(tmp_path.iterdir()):
         whole = path.read_bytes()
+        path.unlink()
+        with pytest.raises(InputError):
+            LargeIndex.open(tmp_path)
         for damaged in (b"", whole[: len(whole) // 2], whole[:-8]):
             path.write_bytes(damaged)
             with pytest.raises(InputError) as refusal:
@@ -182,6 +186,21 @@ def test_who_asks_while_another_adds_gets_an_answer(tmp_path, small_parts):
     writer.add(stream(5000, 700), "numbers")
     assert not any((tmp_path / f"{lists.name}.data").exists() for lists in reader.manifest.lists)
     assert reader.search(query(betas(5000)[50]), 1)[0].entry == entries(50, 51)[0]
+
+
+def test_an_index_that_is_overtaken_as_it_is_opened_is_opened_as_it_is_then(tmp_path, small_parts):
+    """Between what the manifest says and what is read of it files may go, again and again."""
+    writer = LargeIndex.create(tmp_path, SPACE)
+    writer.add(stream(700), "numbers")
+    additions = [stream(5000, 700), stream(12000, 5000)]
+
+    class Overtaken(LargeIndex):
+        def _show(self, manifest: Manifest) -> None:
+            if additions:
+                writer.add(additions.pop(0), "numbers")
+            super()._show(manifest)
+
+    assert len(Overtaken.open(tmp_path)) == 12000
 
 
 ADDING = """

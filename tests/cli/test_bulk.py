@@ -33,7 +33,12 @@ def test_bad_images_are_rows_of_their_own(capsys):
     first, bad, last = rows("out.jsonl")
     assert (first["name"], bad["name"]) == ("views/a.png", "views/b.png")
     assert "no pixel holds a measurement" in bad["refused"]
-    assert {**first, "name": last["name"]} == last
+    assert list(first) == list(last)
+    for key in ("converged", "category", "warnings"):
+        assert first[key] == last[key]
+    # where an image stands in a batch decides how products of matrices are rounded, on some machines
+    np.testing.assert_allclose(first["T_camera_base"], last["T_camera_base"], atol=1e-6)
+    np.testing.assert_allclose(first["beta"], last["beta"], atol=1e-5)
     single = answer(capsys, "estimate", "views/a.png", *LAPTOP, *K)
     assert first["joints"][0]["state"] == pytest.approx(single["joints"][0]["state"], abs=1e-6)
 

@@ -49,12 +49,13 @@ class LargeIndex:
     def open(cls, folder: Path) -> Self:
         """Raises InputError for what is no catalogue, or is damaged."""
         manifest = read_manifest(folder)
-        try:
-            return cls(folder, manifest)
-        except InputError:
-            if read_manifest(folder) == manifest:
-                raise
-            return cls(folder, read_manifest(folder))  # another process made larger lists of those
+        while True:
+            try:
+                return cls(folder, manifest)
+            except InputError:
+                before, manifest = manifest, read_manifest(folder)
+                if manifest == before:  # else another process made larger lists of those
+                    raise
 
     @classmethod
     def create(cls, folder: Path, space: Space) -> Self:

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from omad.common.errors import InputError
-from omad.common.incoming import is_file, map_array
+from omad.common.incoming import map_array, readable
 
 from ..search import Neighbours, faiss
 from .manifest import CURE, StoredLists, to_disk
@@ -70,12 +70,14 @@ def stored_lists(folder: Path, stored: StoredLists, size: int) -> Lists:
     """Lists of vectors of ``size`` numbers where they lie. Raises InputError where the files are not what was
     written."""
     sizes, data = map_array(folder / f"{stored.name}{SIZES}"), folder / f"{stored.name}{DATA}"
-    whole = is_file(data) and data.stat().st_size == stored.entries * (4 * size + 8)
+    with readable(data, "lists", CURE):
+        content = np.memmap(data, np.uint8, "r")
+    whole = len(content) == stored.entries * (4 * size + 8)
     if not (whole and sizes.ndim == 1 and sizes.dtype == np.int64 and (sizes >= 0).all()):
-        raise InputError(f"{data}: missing, cut short or damaged; {CURE}")
+        raise InputError(f"{data}: cut short or damaged; {CURE}")
     if sizes.sum() != stored.entries:
         raise InputError(f"{data}: is of another catalogue; {CURE}")
-    starts, content = np.cumsum(sizes) - sizes, np.memmap(data, np.uint8, "r")
+    starts = np.cumsum(sizes) - sizes
 
     def of(which: int) -> tuple[bytes, bytes]:
         begin = int(starts[which]) * (4 * size + 8)
@@ -115,10 +117,11 @@ class ListSearch:
             raise InputError(f"{data}: is of other centres; {CURE}")
         lists = library.OnDiskInvertedLists(count, 4 * size, str(data))
         lists.set_all_lists_sizes(library.swig_ptr(sizes))
-        lists.read_only, lists.totsize = True, data.stat().st_size
+        lists.read_only, lists.totsize = True, stored.entries * (4 * size + 8)
         # it would start threads for every query, which take longer than what they read ahead
         lists.prefetch_nthread = 0
-        lists.do_mmap()
+        with readable(data, "lists", CURE):  # another process may have put larger ones in its place
+            lists.do_mmap()
         index = library.IndexIVFFlat(self._quantiser, size, count)
         index.replace_invlists(lists, True)
         lists.this.disown()
