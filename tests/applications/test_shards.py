@@ -154,7 +154,10 @@ def test_what_is_rendered_in_shards_is_estimated_and_measured(in_a_folder_of_its
     whole = answer(capsys, "eval", "pose", *objects)
     for key in ("initial", "refined", "interval", "by_object", "failures", "views", "objects"):
         assert json.dumps(measured[key]) == json.dumps(whole[key]) or np.allclose(
-            [*_numbers(measured[key])], [*_numbers(whole[key])], atol=1e-4, equal_nan=True  # degrees, by other batches
+            [*_numbers(measured[key])],
+            [*_numbers(whole[key])],
+            atol=1e-4,
+            equal_nan=True,  # degrees, by other batches
         )
     assert "--output: is missing" in refused(capsys, "eval", "pose", *objects, "--cluster")
 
