@@ -141,7 +141,7 @@ def models_table(config: Config, models: Path) -> list[str]:
     return [*lines, "", "Refused:", "", *refused] if refused else lines
 
 
-def replaced(text: str, name: str, lines: list[str], some: tuple[str, ...]) -> str:
+def replaced(text: str, name: str, lines: list[str], some: tuple[str, ...] = ()) -> str:
     """``text`` with what stands between the marks of ``name`` exchanged; where ``lines`` are of ``some`` categories,
     only theirs."""
     pattern = re.compile(rf"(<!-- {name} -->\n)(.*?)\n(<!-- end -->)", re.DOTALL)

@@ -31,9 +31,7 @@ def here(tmp_path, monkeypatch):
     prepare()
 
 
-@pytest.mark.parametrize(
-    "name", [name for name in KNOWN if name != "train confidence"]
-)  # minutes: kill_drill.py has it
+@pytest.mark.parametrize("name", KILLED)
 def test_what_was_killed_is_done_by_the_next_run(name):
     assert not kill_and_finish(KNOWN[name], KILLS, 0)
 

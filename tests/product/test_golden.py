@@ -36,7 +36,7 @@ LIMITS = {
     "laptop": (1.6, 1.4, 0.026),
     "lidded_box": (3.0, 2.2, 0.046),
     "microwave": (2.9, 1.9, 0.035),
-    "oven": (4.4, 1.9, 0.06),
+    "oven": (3.6, 1.7, 0.05),
     "refrigerator": (2.8, 1.7, 0.038),
     "refrigerator_two_doors": (4.1, 1.8, 0.021),
     "safe": (2.2, 1.6, 0.045),
