@@ -5,7 +5,8 @@
 ``--models``: a folder with one sub-folder of URDF or PartNet-Mobility models a category (``FOLDER/laptop/...``);
 without it the table of foreign models stays as it is, as do rows of categories that are not asked for. Tables stand
 between ``<!-- name -->`` and ``<!-- end -->`` in docs/results.md, a short one in the README. Answers are kept in
-``--cache`` and made anew only where they are missing.
+``--cache`` and made anew only where they are missing. How far answers go towards surfaces is written into
+docs/surfaces.md as the weights have it.
 """
 
 from __future__ import annotations
@@ -18,15 +19,19 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import tyro
 
 from omad.cli.evaluate import EvalPose
 from omad.cli.options import Views
 from omad.common.files import make_folder, write_atomic
-from omad.model.checkpoint import shipped_categories
+from omad.model.checkpoint import find_weights, shipped_categories
+from omad.model.surfaces.bank import FILE
+from omad.model.surfaces.shares import Shares
+from omad.objects.category_file import get_category
 
 ROOT = Path(__file__).parent.parent
-PAGE, README = ROOT / "docs" / "results.md", ROOT / "README.md"
+PAGE, SURFACES, README = ROOT / "docs" / "results.md", ROOT / "docs" / "surfaces.md", ROOT / "README.md"
 PAPER = {
     "laptop": ("3.3", "3.7", "0.03"),
     "eyeglasses": ("4.9; 5.2", "4.2; 4.6", "0.05; 0.04"),
@@ -141,6 +146,25 @@ def models_table(config: Config, models: Path) -> list[str]:
     return [*lines, "", "Refused:", "", *refused] if refused else lines
 
 
+def shares_table() -> list[str]:
+    """How far answers of the shipped weights go towards their surfaces, and the mean errors that it was found by."""
+    lines = ["| | views | base and shape | joints | joint states: keypoints, fit, taken |", "|---" * 5 + "|"]
+    for name in shipped_categories():
+        category, folder = get_category(name), find_weights(name)
+        with np.load(folder / FILE) as file:
+            shares = Shares.among(dict(file), len(category.joints))
+        assert shares is not None
+        per_unit = np.where(category.turning, 180 / np.pi, category.metres_per_unit)
+        kinds = [(".1f", "°") if turning else (".3f", " m") for turning in category.turning]
+        told = [
+            ", ".join(f"{error:{digits}}{unit}" for error, (digits, unit) in zip(row * per_unit, kinds, strict=True))
+            for row in shares.errors[:, 1:]
+        ]
+        base, *joints = (f"{share:g}" for share in shares.taken)
+        lines.append(f"| {name} | {shares.views} | {base} | {', '.join(joints)} | {'; '.join(told)} |")
+    return lines
+
+
 def replaced(text: str, name: str, lines: list[str], some: tuple[str, ...] = ()) -> str:
     """``text`` with what stands between the marks of ``name`` exchanged; where ``lines`` are of ``some`` categories,
     only theirs."""
@@ -178,6 +202,8 @@ def main(config: Config) -> None:
     if config.models is not None:
         text = replaced(text, "models", models_table(config, config.models), some)
     write_atomic(PAGE, lambda path: path.write_text(text))
+    shares = replaced(SURFACES.read_text(), "shares", shares_table())
+    write_atomic(SURFACES, lambda path: path.write_text(shares))
 
 
 if __name__ == "__main__":

@@ -26,6 +26,7 @@ def test_of_some_categories_only_their_rows_are():
     [
         (make_tables.README, {"accuracy"}),
         (make_tables.PAGE, {"procedural", "models"}),
+        (make_tables.SURFACES, {"shares"}),
         (make_retrieval_tables.PAGE, {"table3"}),
         (make_robustness_table.PAGE, {"robustness"}),
     ],
@@ -42,3 +43,8 @@ def test_what_retrieval_says_is_a_table():
     head, _, row, chance = make_retrieval_tables.table({"laptop": answer}, 50)
     assert head.count("|") == row.count("|") == chance.count("|")
     assert "50.0 ± 50.0" in row
+
+
+def test_how_far_answers_go_is_told_as_the_weights_have_it():
+    text = make_tables.SURFACES.read_text(encoding="utf-8")
+    assert replaced(text, "shares", make_tables.shares_table()) == text
