@@ -5,6 +5,12 @@ import signal
 import pytest
 
 
+def pytest_collection_modifyitems(items):
+    """Files with slow tests come first, so that quick ones are left for the process that is done before the other."""
+    slow = {item.path for item in items if item.get_closest_marker("slow")}
+    items.sort(key=lambda item: item.path not in slow)
+
+
 @pytest.fixture(autouse=True)
 def signals_that_count():
     """What runs in the background ignores Ctrl-C, and some libraries leave SIGTERM ignored: so would the processes that
