@@ -23,7 +23,7 @@ from torch import Tensor
 from omad.common.arrays import as_doubles, as_numpy
 from omad.common.errors import InputError
 from omad.common.runtime import Stopwatch, pick_device, work_in_forks
-from omad.geometry.transforms import quarter_turns, transform_points
+from omad.geometry.transforms import transform_points
 from omad.model.checkpoint import find_weights, load
 from omad.model.fitting.energy import RefinementConfig
 from omad.model.fitting.leaning import leaning
@@ -46,18 +46,10 @@ from .known import Known, Near
 from .looks.either_hand import surer_hands
 from .looks.look import Look, put_rows, rows_of
 from .looks.shown import Shown, check_observations
+from .looks.turned import HALF_TURNS, UNSURE, surer
 from .several_views import Rig, one_answer
 
 NOTHING_KNOWN = Known()
-UNSURE = 0.08
-"""Expected keypoint error (geometric mean, category units; 0.03 is usual) above which an object is looked at in turned
-frames, too."""
-SURER = 0.75
-"""The error that another answer expects must be so many times smaller to take its place."""
-
-HALF_TURNS = quarter_turns()[3:6]
-"""(3, 4, 4)."""
-
 Refine = Callable[[Refiner, Targets, State], Refined]
 """Minimises the energy that a refiner states, from an initial state."""
 MOST = 4096
@@ -286,9 +278,9 @@ class Estimator:
         start = self._refine(first, None, known, None).state
         again = self._look(clouds[:, -last.samples :], start.T_camera_base, labels=True)
         turned = self._refine(again, start, known, None)
-        expected, best = again.expected_error.view(-1, len(HALF_TURNS)).min(1)
-        better = torch.nonzero(expected < SURER * last.expected_error[rows])[:, 0]
-        chosen = better * len(HALF_TURNS) + best[better]
+        before, now = refined.state.T_camera_base[rows], turned.state.T_camera_base
+        better, best = surer(last.expected_error[rows], before, again.expected_error, now)
+        chosen = better * len(HALF_TURNS) + best
         last.put(rows[better], again.of(chosen))
         put_rows(refined, rows[better], rows_of(turned, chosen))
 

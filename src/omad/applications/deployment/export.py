@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 
 from omad.common.files import make_folder, write_json, write_text
-from omad.estimation import estimator as looking
 from omad.estimation.estimator import Estimator, EstimatorConfig
-from omad.estimation.looks import relief, shown
+from omad.estimation.looks import relief, shown, turned
 from omad.model import network_input
 from omad.model.fitting.energy import ShapePrior
 from omad.model.omadnet import OmadNet
@@ -65,8 +64,8 @@ def numbers(net: OmadNet, config: EstimatorConfig, hand: Sequence[float]) -> dic
         "sure": shown.SURE,
         "few": shown.FEW,
         "left": shown.LEFT,
-        "unsure": looking.UNSURE,
-        "surer": looking.SURER,
+        "unsure": turned.UNSURE,
+        "surer": [turned.SURER, turned.SURER_INVERTED],
         "beta_mean": shape.mean.double().tolist(),
         "whitening": shape.whitening.tolist(),
         "huber": fit.huber,

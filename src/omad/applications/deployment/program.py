@@ -8,8 +8,8 @@ This file lies in a folder with ``relief.py``, two ONNX graphs and a table of nu
     from estimate import Program
     answer = Program()(points)              # (N, 3) metres, camera frame: x right, y down, z forward
 
-It does what ``omad.Estimator`` does: a look in camera axes, a fit, a look in the frame found, a fit; without points
-that are not on the object, and once more in turned frames where it is unsure. Metres and radians.
+As ``omad.Estimator``: a look in camera axes, a fit, a look in the frame found, a fit; without what is not the object,
+and once more in turned frames where it is unsure. Metres and radians.
 """
 
 import argparse
@@ -166,9 +166,11 @@ class Program:
         for turn in HALF_TURNS:
             start = self._refine(self._look(clouds[: samples[0]], fit.frame @ turn), None)
             again = self._look(clouds[-samples[-1] :], start.frame)
-            found.append((again, self._refine(again, start.row)))
-        best = min(found, key=lambda pair: pair[0].expected_error)
-        return best if best[0].expected_error < self.numbers["surer"] * look.expected_error else (look, fit)
+            turned = self._refine(again, start.row)
+            inverted = fit.frame[1, 1] < 0 <= turned.frame[1, 1]
+            found.append((again.expected_error / self.numbers["surer"][int(inverted)], again, turned))
+        missed, again, turned = min(found, key=lambda each: each[0])
+        return (again, turned) if missed < look.expected_error else (look, fit)
 
     def _shown(self, points: np.ndarray) -> np.ndarray:
         """(samples, n, 3) random choices, category units."""
@@ -300,8 +302,7 @@ class Program:
 
 
 def first_frame(clouds: np.ndarray, far: float) -> np.ndarray:
-    """T_camera_input (4, 4): camera axes, moved to the mean of the points that are not ``far`` from their median, or of
-    all, if all are."""
+    """T_camera_input (4, 4): camera axes at the mean of the points not ``far`` from their median, or of all of them."""
     points = clouds.reshape(-1, 3)
     median = np.sort(points, axis=0)[(len(points) - 1) // 2]
     near = np.square(points - median).sum(1) <= far**2
@@ -330,8 +331,8 @@ def rotation(v: np.ndarray) -> np.ndarray:
 
 
 def choose_points(points: np.ndarray, count: int, samples: int, seed: int, across: int) -> np.ndarray:
-    """(samples, count) independent choices of points (N, 3): each a random point of each of randomly chosen image
-    cells, ``across`` of them along the longer side. SplitMix64 makes the random numbers."""
+    """(samples, count) of points (N, 3): a random point of each of random cells, ``across`` of them along the longer side
+    of the image. SplitMix64 makes the random numbers."""
     cell = _cells(points, across)
     members, sizes = np.argsort(cell, kind="stable").tolist(), np.bincount(cell)
     starts, occupied = (np.cumsum(sizes) - sizes).tolist(), np.flatnonzero(sizes).tolist()
@@ -347,9 +348,8 @@ def choose_points(points: np.ndarray, count: int, samples: int, seed: int, acros
     for sample in chosen:
         for k in range(min(count, cells)):
             other = k + below(cells - k)
-            c = occupied[other]
-            occupied[other], occupied[k] = occupied[k], c
-            sample[k] = members[starts[c] + below(int(sizes[c]))]
+            occupied[other], occupied[k] = occupied[k], occupied[other]
+            sample[k] = members[starts[occupied[k]] + below(int(sizes[occupied[k]]))]
         for k in range(cells, count):
             sample[k] = sample[k - cells]
     return chosen
