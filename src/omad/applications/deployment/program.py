@@ -331,8 +331,8 @@ def rotation(v: np.ndarray) -> np.ndarray:
 
 
 def choose_points(points: np.ndarray, count: int, samples: int, seed: int, across: int) -> np.ndarray:
-    """(samples, count) of points (N, 3): a random point of each of random cells, ``across`` of them along the longer side
-    of the image. SplitMix64 makes the random numbers."""
+    """(samples, count) of points (N, 3): a random point of each of random cells, ``across`` of them along the image's
+    longer side. SplitMix64 makes the random numbers."""
     cell = _cells(points, across)
     members, sizes = np.argsort(cell, kind="stable").tolist(), np.bincount(cell)
     starts, occupied = (np.cumsum(sizes) - sizes).tolist(), np.flatnonzero(sizes).tolist()
