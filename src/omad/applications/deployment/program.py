@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 import onnxruntime
 
-from omad.estimation.looks.relief import relief
+from omad.estimation.looks.relief import as_shut, relief
 
 MIRROR = np.array([-1.0, 1.0, 1.0])
 HALF_TURNS = [np.diag([*signs, 1.0]) for signs in ((1, -1, -1), (-1, 1, -1), (-1, -1, 1))]
@@ -285,7 +285,7 @@ class Program:
         parts[:, :3, 3] *= unit
         told = np.append(look.pooled, -parts[0, 1, 1])
         if len(hand) and self._turning[0]:
-            told = np.append(told, relief(points, keypoints, whose, parts, axes[0], pivots[0], unit))
+            told = as_shut(told, fit.row[16], relief(points, keypoints, whose, parts, axes[0], pivots[0], unit))
         return Answer(
             beta=fit.row[16 + J :],
             joint_states=fit.row[16 : 16 + J] * units,

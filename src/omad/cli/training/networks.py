@@ -278,7 +278,7 @@ UNSEEN = 1
 class TrainConfidence(CategoryCommand):
     """Learn how far to believe a network's answers: intervals of joint states, and the probability that an answer is
     right. From views of objects that the network has not seen, spoilt at random, and of other things; a few minutes.
-    Where objects may be of either hand, how to tell which is learned first, from as many views and their mirror
+    Where objects may be of either hand, how to tell which is learned first, from twice as many views and their mirror
     images. Writes confidence.json into the checkpoint folder, in place of what is there."""
 
     source: str = "procedural"
@@ -301,7 +301,7 @@ class TrainConfidence(CategoryCommand):
         category = net.category
         models = load_models(self.source, category, self.objects, "train", UNSEEN).models
         if category.either_hand:
-            estimator.hand = fit_hand(estimator, models, self.views, self.seed + 1)
+            estimator.hand = fit_hand(estimator, models, 2 * self.views, self.seed + 1)
         answers = fitting.answered(estimator, models, self.views, self.seed)
         confidence = fitting.fit(answers, category, fitting.FittedTo(self.source, self.views, omad.__version__))
         confidence = replace(confidence, hand=estimator.hand)

@@ -11,7 +11,7 @@ from omad.common.errors import InputError
 from ..checks import hand_doubts
 from ..confidence.model import CURE, FILE
 from ..estimate import Estimate
-from .relief import relief
+from .relief import as_shut, relief
 
 
 def surer_hands(
@@ -49,17 +49,18 @@ def odds(hand: Sequence[float], estimate: Estimate) -> float:
 
 
 def told(estimate: Estimate) -> np.ndarray:
-    """(pooled + 31,) what tells the hand: what the backbone knows of the cloud; how far up in the image the answer's
-    own up points, as a door hinged at the right is one hinged at the left where the object stands on its head; and
-    where on the door things stand out, as on one that is shut nothing else tells where its hinge is."""
+    """(K,) what tells the hand: what the backbone knows of the cloud; how far up in the image the answer's own up
+    points, as a door hinged at the right is one hinged at the left where the object stands on its head; and where on a
+    shut door things stand out, as nothing else tells where its hinge is."""
     category, placed = estimate.category, estimate.placed
+    known = np.append(estimate.signals.pooled[0], -estimate.T_camera_base[1, 1])
     if not category.turning[0]:
-        return np.append(estimate.signals.pooled[0], -estimate.T_camera_base[1, 1])
-    seen = relief(
+        return known
+    out = relief(
         estimate.labelled.points, estimate.keypoints, category.part_of_keypoint, placed.T_camera_part,
         placed.axes[0], placed.pivots[0], category.metres_per_unit,
     )  # fmt: skip
-    return np.concatenate([estimate.signals.pooled[0], [-estimate.T_camera_base[1, 1]], seen])
+    return as_shut(known, float(estimate.joint_states[0]), out)
 
 
 def _for(estimate: Estimate, hand: Sequence[float]) -> float:

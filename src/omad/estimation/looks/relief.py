@@ -24,6 +24,15 @@ ROUGH, OUT = 2.5, 3.0
 ROUNDS = 4
 FLOOR = 0.003
 """Added to shares before their logarithm is taken."""
+AJAR = np.radians(10)
+"""A door that is open so far is no longer like one that is shut."""
+
+
+def as_shut(known: np.ndarray, state: float, out: np.ndarray) -> np.ndarray:
+    """(2 n + 31,) what is ``known`` (n,) of an object whose first joint is at ``state`` radians, once as of an open
+    door and once as of a shut one, with what stands ``out`` of it (30,): each counts by how far the door is so."""
+    shut = np.exp(-((state / AJAR) ** 2))
+    return np.concatenate([known * (1 - shut), known * shut, out * shut, [shut]])
 
 
 def relief(
