@@ -20,7 +20,7 @@ MOST = 40
 SLICES = 12
 """Of a part whose bodies are cut locally, along its longest side."""
 SLIVER = 1e-6
-"""Of a part's box: slices that are smaller are left out."""
+"""Of a part's box: pieces that are smaller are left out; simulators refuse bodies next to without volume."""
 PARALLEL = 0.99
 """Cosine between axes from which on they count as parallel."""
 SINGLE, DOUBLE = 241, 31
@@ -44,7 +44,7 @@ def collision_bodies(model: ObjectModel) -> list[list[ConvexBody]]:
                 _stack(bodies[first], bodies[second], T, direction, GAP * size)
         for T in places:
             _part(bodies[first], bodies[second], T, GAP * size)
-    return bodies
+    return [_without_slivers(each) for each in bodies]
 
 
 def _common_axis(model: ObjectModel, moving: list[int]) -> np.ndarray | None:
@@ -98,7 +98,13 @@ def _sliced(bodies: list[ConvexBody]) -> list[ConvexBody]:
         for start, end in zip(ends, ends[1:], strict=False)
         if (upper := body.cut(along, start)) is not None and (piece := upper.cut(-along, -end)) is not None
     ]
-    return [piece for piece in slices if piece.volume > SLIVER * float(np.prod(high - low))]
+    return _without_slivers(slices)
+
+
+def _without_slivers(bodies: list[ConvexBody]) -> list[ConvexBody]:
+    """Those of one part that are no cuts' left-overs."""
+    low, high = box(np.concatenate([body.vertices for body in bodies])) if bodies else np.zeros((2, 3))
+    return [body for body in bodies if body.volume > SLIVER * float(np.prod(high - low))]
 
 
 def _near(first: list[ConvexBody], second: list[ConvexBody], gap: float) -> list[list[int]]:
