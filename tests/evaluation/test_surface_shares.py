@@ -6,7 +6,7 @@ import pytest
 import omad
 from omad.data.procedural import generate
 from omad.evaluation.confidence import surface_shares
-from omad.evaluation.confidence.surface_shares import TRIED, best_shares, measured_shares
+from omad.evaluation.confidence.surface_shares import TRIED, best_shares, follows_better, measured_shares
 
 
 def errors_of(keypoints: np.ndarray, fits: np.ndarray) -> np.ndarray:
@@ -56,3 +56,12 @@ def test_shares_are_measured_on_clean_and_spoilt_views(monkeypatch):
     again = measured_shares(estimator, models, 6, seed=0)
     assert again is not None
     assert np.allclose(again.errors, found.errors)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "better"), [("scissors", True), ("laptop", False)])
+def test_surfaces_follow_what_is_seen_where_that_is_nearer(name, better):
+    estimator = omad.Estimator.from_pretrained(name, "cpu")
+    models = [generate(estimator.category, index, "train", 1) for index in range(12)]
+    assert follows_better(estimator, estimator.surfaces.bank, models, 12, seed=0) is better
+    assert not follows_better(estimator, estimator.surfaces.bank, models, surface_shares.FEWEST - 1, seed=0)

@@ -95,8 +95,9 @@ def test_a_bank_keeps_its_shares(tmp_path, laptop):
     assert found is not None
     assert (found.taken.tolist(), found.errors.tolist(), found.views) == ([0.25, 1.0], shares.errors.tolist(), 60)
     assert found.of_unknowns(found.shrinkage, 9) == pytest.approx([0.75] * 6 + [1 / 3] + [0.75] * 2)
-    path = replace(surfaces.bank, shares=None).save(tmp_path)
-    assert ShapeBank.load(path, net.category, net.prior).shares is None
+    path = replace(surfaces.bank, shares=None, follows=True).save(tmp_path)
+    found = ShapeBank.load(path, net.category, net.prior)
+    assert (found.shares, found.follows, surfaces.bank.follows) == (None, True, False)
     for wrong in (replace(shares, taken=np.array([2.0, 0.0])), replace(shares, errors=np.zeros((2, 2)))):
         path = replace(surfaces.bank, shares=wrong).save(tmp_path)
         with pytest.raises(InputError, match=r"surfaces\.npz: not readable as a bank of surfaces"):

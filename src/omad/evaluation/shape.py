@@ -62,13 +62,18 @@ class ShapeResult:
 
 def surface_errors(mesh: Mesh, truth: Mesh, seed: int = 0) -> SurfaceErrors:
     """Of a ``mesh`` against the true one, both in category units and in one frame."""
-    rng = np.random.default_rng(seed)
-    drawn = [sample_triangles(each.triangles, SAMPLES, rng)[0] for each in (mesh, truth)]
-    surfaces = [Surface.of(each.triangles, SUPPORT, rng) for each in (truth, mesh)]
-    precision, recall = (surface.distances(points) for surface, points in zip(surfaces, drawn, strict=True))
+    precision, recall = surface_distances(mesh, truth, seed)
     near = [float((each <= NEAR).mean()) for each in (precision, recall)]
     f_score = 2 * near[0] * near[1] / max(sum(near), 1e-9)
     return SurfaceErrors(float(precision.mean() + recall.mean()) / 2, f_score, volume_iou(mesh, truth))
+
+
+def surface_distances(mesh: Mesh, truth: Mesh, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Of points of a ``mesh`` (``SAMPLES``,) from the true one, and of the true one's from it; in one frame."""
+    rng = np.random.default_rng(seed)
+    drawn = [sample_triangles(each.triangles, SAMPLES, rng)[0] for each in (mesh, truth)]
+    to_truth, to_mesh = (Surface.of(each.triangles, SUPPORT, rng) for each in (truth, mesh))
+    return to_truth.distances(drawn[0]), to_mesh.distances(drawn[1])
 
 
 def volume_iou(mesh: Mesh, truth: Mesh) -> float:

@@ -37,7 +37,7 @@ with lazy_imports():
     from omad.evaluation.baselines.siamese import SiameseTraining, train_siamese
     from omad.evaluation.confidence import fitting
     from omad.evaluation.confidence.hands import fit_hand
-    from omad.evaluation.confidence.surface_shares import measured_shares
+    from omad.evaluation.confidence.surface_shares import follows_better, measured_shares
     from omad.model.backbones import BackboneConfig, get_backbone
     from omad.model.checkpoint import Network, find_weights, load, save, shipped_categories, training_record
     from omad.model.omadnet import OmadNet
@@ -128,8 +128,9 @@ class TrainPrior(_Training):
 @dataclass(frozen=True, kw_only=True)
 class TrainSurface:
     """Make the bank of objects that estimates take their surfaces from: no training, a minute or two. To be made anew
-    whenever the prior or the procedural generator changes. How far --to-surface should go is measured, too, on views of
-    objects that the network has not seen: of another network it is another way."""
+    whenever the prior or the procedural generator changes. How far --to-surface should go, and whether surfaces
+    should follow what is seen of an object beyond what those of the bank are, is measured, too, on views of objects
+    that the network has not seen."""
 
     category: CategoryName
     weights: Path | None = None
@@ -165,10 +166,13 @@ class TrainSurface:
         record: dict[str, Any] = {}
         if unseen is not None:
             models = load_models(unseen, net.category, self.views, "train", UNSEEN).models
-            shares = measured_shares(omad.Estimator.from_pretrained(folder), models, self.views, seed=0)
+            estimator = omad.Estimator.from_pretrained(folder)
+            shares = measured_shares(estimator, models, self.views, seed=0)
             if shares is not None:
-                path = replace(bank, shares=shares).save(folder)
+                follows = follows_better(estimator, bank, models, self.views // 2, seed=0)
+                path = replace(bank, shares=shares, follows=follows).save(folder)
                 record = {"shares": shares.taken.tolist(), "errors": shares.errors.tolist(), "views": shares.views}
+                record["follows"] = follows
         return Answer({"file": str(path), "objects": len(bank), "bytes": path.stat().st_size, **record})
 
 

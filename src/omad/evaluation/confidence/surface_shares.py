@@ -1,6 +1,8 @@
-"""How far answers should go towards the fits to their surfaces: measured on views with known truth."""
+"""How far answers should go towards the fits to their surfaces, and whether these should follow what is seen: measured
+on views with known truth."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -12,13 +14,16 @@ from omad.data.rendering.standard_views import View, standard_view
 from omad.estimation.confidence.model import RIGHT_ANGLE, RIGHT_SHARE
 from omad.estimation.estimate import Estimate
 from omad.estimation.estimator import Estimator
+from omad.geometry.mesh import merge_meshes
+from omad.model.surfaces.bank import ShapeBank
 from omad.model.surfaces.shares import Shares
-from omad.model.surfaces.surfaces import FittedSurface
+from omad.model.surfaces.surfaces import FittedSurface, Surfaces
 from omad.objects.category import Category
 from omad.objects.model import ObjectModel
 
 from ..evaluate import true_pose
 from ..metrics import pose_errors
+from ..shape import surface_distances
 from .views import thinned_spoil
 
 TRIED = np.array([0.0, 0.25, 0.5, 0.75, 1.0])
@@ -39,14 +44,35 @@ def measured_shares(estimator: Estimator, models: Sequence[ObjectModel], views: 
     return best_shares(np.stack(errors)) if len(errors) >= FEWEST else None
 
 
+def follows_better(estimator: Estimator, bank: ShapeBank, models: Sequence[ObjectModel], views: int, seed: int) -> bool:
+    """Whether surfaces of the ``bank`` are surely nearer to the true ones when they follow what is seen, on such views
+    of the ``models``."""
+    prior, category = estimator.net.prior, estimator.category
+    banks = [replace(bank, follows=each) for each in (False, True)]
+    both, gains = [Surfaces(prior, category, lambda each=each: each) for each in banks], []
+    for view in progress(_views(models, category, views, seed), views, every=30.0):
+        estimate = estimator(view.observation())
+        if estimate.is_finite:
+            truth = merge_meshes(models[view.seed[1] % len(models)].posed(view.states, view.T_camera_base))
+            posed = [merge_meshes(replace(estimate, surfaces=each).surface.posed()) for each in both]
+            still, followed = (sum(each.mean() for each in surface_distances(mesh, truth)) for mesh in posed)
+            gains.append((still - followed) / (still + followed))
+    return len(gains) >= FEWEST and bool(_surely(np.array(gains)) > 0)
+
+
 def best_shares(errors: np.ndarray) -> Shares:
     """Those with the largest gain, of which chance is taken off, by errors (N, T, 1 + J) with the ``TRIED`` ones. A
     gain is the difference of two errors over their sum, so that no view counts more than another."""
     none, mean = errors[:, :1], errors.mean(0)
     gain = (none - errors) / np.maximum(none + errors, 1e-12)
-    sure = gain.mean(0) - SURE * gain.std(0, ddof=1) / np.sqrt(len(errors))
+    sure = _surely(gain)
     best = np.where(mean <= mean[0], sure, 0.0).argmax(0)  # the first where none is better: none
     return Shares(TRIED[best], np.stack([mean[0], mean[-1], mean[best, np.arange(len(best))]]), len(errors))
+
+
+def _surely(gains: np.ndarray) -> np.ndarray:
+    """Mean over the first axis of gains (N, ...), of which chance is taken off."""
+    return gains.mean(0) - SURE * gains.std(0, ddof=1) / np.sqrt(len(gains))
 
 
 def _errors(estimate: Estimate, view: View) -> np.ndarray:

@@ -47,6 +47,8 @@ class ShapeBank:
     """Of each object, a part each, canonical space, metres; none where the generator makes them."""
     shares: Shares | None = None
     """How far answers go towards the fits; None where it was not measured."""
+    follows: bool = False
+    """Whether surfaces follow what is seen beyond what these objects are (``following``)."""
     _made: dict[int, Template] = field(default_factory=dict, repr=False)
 
     def __len__(self) -> int:
@@ -92,6 +94,7 @@ class ShapeBank:
             arrays["counts"] = np.array([(len(part.vertices), len(part.faces)) for part in parts])
         if self.shares is not None:
             arrays |= self.shares.arrays()
+        arrays["follows"] = np.array(self.follows)
         arrays[CHECKSUM] = np.array(digest_of(arrays))
         path = folder / FILE
         write_atomic(path, lambda file: np.savez_compressed(file, allow_pickle=False, **arrays))
@@ -109,12 +112,13 @@ class ShapeBank:
             wanted = Shape(None, category.num_keypoints, 3)
             known, basis = wanted.array(arrays["keypoints"]).astype(np.float32), arrays["basis"]
             meshes, shares = _meshes(arrays, len(category.parts)), Shares.among(arrays, len(category.joints))
+            follows = "follows" in arrays and bool(arrays["follows"])
             if not len(known) or (meshes and len(meshes) != len(known)):
                 raise ValueError("keypoints and meshes are not of the same objects")
         mine = as_numpy(prior.learned_basis)
         if basis.shape != mine.shape or not np.allclose(basis, mine, rtol=0, atol=ROUNDED):
             raise InputError(f"{path}: was made with another prior than these weights; {cure}")
-        return cls(category, basis, known, meshes, shares)
+        return cls(category, basis, known, meshes, shares, follows)
 
     @classmethod
     def of_models(

@@ -72,7 +72,7 @@ class Cloud:
 
 
 @dataclass(frozen=True)
-class _Pairs:
+class Pairs:
     """Points of the cloud and of the visible surface that are nearest to each other."""
 
     points: np.ndarray
@@ -81,6 +81,11 @@ class _Pairs:
     """(P,) of the visible surface."""
     measurements: float
     """As how many independent ones they count."""
+
+    def precision(self, off: Floats, noise: float, robust: float) -> Floats:
+        """(P,) by which squared residuals ``off`` (P, 3) count: Geman-McClure's weights."""
+        share = self.measurements / (len(off) * noise**2)
+        return share / np.square(1 + np.square(off).sum(1) / robust**2)
 
 
 @dataclass(frozen=True)
@@ -146,7 +151,7 @@ class SurfaceFit:
         H[states, states] += (beyond != 0) / self.config.limit_sigma**2
         g[states] -= beyond / self.config.limit_sigma**2
         seen = self.visible(placed, template)
-        for pairs in self._pairs(seen):
+        for pairs in self.pairs(seen):
             jacobian, off = self._residuals(pairs, placed, template, seen, by_unknowns)
             H += jacobian.T @ jacobian
             g += jacobian.T @ off
@@ -154,7 +159,7 @@ class SurfaceFit:
         moved, e = placed.moved + step[:unknowns], placed.own + step[unknowns:].reshape(-1, 3)
         return Placed.at(self.prior, self.start.moved(torch.as_tensor(moved)[None]), moved, e)
 
-    def _pairs(self, seen: VisibleSurface) -> list[_Pairs]:
+    def pairs(self, seen: VisibleSurface) -> list[Pairs]:
         """Points of the cloud with the nearest ones of their own part; of the visible surface with any."""
         cloud, config, of_cloud, of_surface = self.cloud, self.config, [], []
         for part in np.unique(seen.parts):
@@ -165,17 +170,16 @@ class SurfaceFit:
         if not of_cloud:
             return []
         some = np.arange(0, len(seen.points), -(-len(seen.points) // config.most))
-        forth = _Pairs(np.concatenate(of_cloud), np.concatenate(of_surface), config.cloud)
-        return [forth, _Pairs(cloud.tree.query(seen.points[some])[1], some, config.surface)]
+        forth = Pairs(np.concatenate(of_cloud), np.concatenate(of_surface), config.cloud)
+        return [forth, Pairs(cloud.tree.query(seen.points[some])[1], some, config.surface)]
 
     def _residuals(
-        self, pairs: _Pairs, placed: Placed, template: Template, seen: VisibleSurface, by_unknowns: Floats
+        self, pairs: Pairs, placed: Placed, template: Template, seen: VisibleSurface, by_unknowns: Floats
     ) -> tuple[Floats, Floats]:
         """Weighted derivatives (3 n, P + 3 M) of the surface points, and how far off they are (3 n,)."""
         config, count = self.config, len(pairs.points)
         off = self.cloud.points[pairs.points] - seen.points[pairs.surface]
-        share = pairs.measurements / (count * config.noise**2)
-        root = np.sqrt(share) / (1 + np.square(off).sum(1, keepdims=True) / config.robust**2)  # Geman-McClure
+        root = np.sqrt(pairs.precision(off, config.noise, config.robust))[:, None]
         unknowns, parts = by_unknowns.shape[2], seen.parts[pairs.surface]
         jacobian = np.zeros((count, 3, unknowns + placed.own.size))
         for number, part in enumerate(template.parts):

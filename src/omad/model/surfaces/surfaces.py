@@ -20,6 +20,7 @@ from ..posed_object import PosedObject, posed_objects
 from ..prior import OmadPrior
 from .bank import ShapeBank, bank_beside
 from .fitting import Cloud, FitConfig, SurfaceFit
+from .following import followed
 from .placed import Placed
 from .template import Template
 
@@ -111,7 +112,8 @@ class Surfaces:
         below zero where none. ``covariance`` (P, P) of what was found: metres and radians.
 
         Objects with near keypoints are held against the cloud, and the best is fitted to it, with pose and joint
-        states; its base and what moves may be of two objects. Without any point of the object the nearest one
+        states; its base and what moves may be of two objects. Where the bank says so, it follows what is seen of the
+        parts beyond what these objects are. Without any point of the object the nearest one
         is carried over."""
         unit, config = self.category.metres_per_unit, self.config
         cloud = Cloud.of(points / unit, labels, config.fit.most)
@@ -125,7 +127,8 @@ class Surfaces:
         placed = fit(placed, self.bank.template(self.bank.nearest(placed.keypoints, 1)[0][0]))
         best = self._chosen(fit, placed)
         placed = fit(placed, best)
-        return FittedSurface(_in_metres(best.at(placed.keypoints), unit), self._metric(placed), placed.moved)
+        parts = followed(fit, placed, best) if self.bank.follows else best.at(placed.keypoints)
+        return FittedSurface(_in_metres(parts, unit), self._metric(placed), placed.moved)
 
     def towards(self, found: PosedObject, fitted: FittedSurface, share: np.ndarray) -> PosedObject:
         """What was found, so far on its way to what was fitted to it: ``share`` (P,) of the step."""
@@ -165,5 +168,5 @@ class Surfaces:
         return replace(pose, states=states, pivots=pose.pivots * unit, T_camera_part=T)
 
 
-def _in_metres(parts: tuple[Mesh, ...], unit: float) -> tuple[Mesh, ...]:
+def _in_metres(parts: Sequence[Mesh], unit: float) -> tuple[Mesh, ...]:
     return tuple(part.warped(lambda vertices: vertices * unit) for part in parts)
