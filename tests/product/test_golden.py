@@ -28,7 +28,7 @@ LIMITS = {
     "cabinet_two_doors": (3.6, 1.8, 0.025),
     "dishwasher": (2.5, 1.4, 0.05),
     "drawer": (0.065, 1.6, None),
-    "drawer_1": (0.05, 1.7, None),
+    "drawer_1": (0.05, 1.6, None),
     "drawer_2": (0.062, 2.2, None),
     "drawer_4": (0.096, 1.9, None),
     "drawer_5": (0.09, 1.8, None),
