@@ -10,7 +10,7 @@ import pytest
 from scipy.special import softmax
 
 import omad
-from omad.applications.detection.detector import Detection, Detector
+from omad.applications.detection.detector import Detection, Detector, called
 from omad.applications.detection.judgement import Judgement
 from omad.data.rendering.depth_noise import ON
 from omad.data.rendering.tabletop import Placed, Tabletop, draw_tabletop
@@ -60,6 +60,21 @@ def test_every_thing_is_answered_and_says_how_sure_it_is() -> None:
             assert one.box == (*pixels.min(0), *(pixels.max(0) + 1))
         boxes = [placed for placed in scene(index).objects if placed.category is None and placed.to_be_found]
         assert all(any(shared(one, placed) > 0.5 for one in answers(index)) for placed in boxes)
+
+
+@pytest.mark.parametrize(
+    ("probabilities", "name"),
+    [
+        ({"drawer": 0.61, None: 0.39}, "drawer"),
+        ({None: 0.9, "drawer": 0.1}, "none of these"),
+        ({"drawer_4": 0.4, "drawer_5": 0.3, "drawer": 0.2, None: 0.1}, "drawer_4 or drawer_5?"),
+        ({"oven": 0.5, None: 0.4, "safe": 0.1}, "oven or none of these?"),
+    ],
+)
+def test_categories_that_share_the_probability_are_all_named(probabilities, name) -> None:
+    one = replace(answers(0)[0], probabilities=probabilities, estimate=None)
+    assert called(one.likely) == name
+    assert one.to_dict()["likely"] == list(one.likely)
 
 
 def test_a_box_says_where_to_look() -> None:

@@ -25,7 +25,7 @@ from .options import BUILT_IN, OWN, CategoriesCommand, CategoryCommand, Fast, To
 
 with lazy_imports():
     from omad.applications.detection import picture as detection_picture
-    from omad.applications.detection.detector import Detector
+    from omad.applications.detection.detector import Detector, called
     from omad.applications.solver import Found, Solver
     from omad.estimation import world
     from omad.estimation.categories.late import AnyEstimator, LateEstimator, shipped_estimators
@@ -225,8 +225,8 @@ def detections_text(answer: dict[str, Any]) -> str:
         joints = found["estimate"]["joints"] if found["estimate"] else []
         states = ", ".join(f"{joint['name']} {state_and_std(joint)}" for joint in joints) or "-"
         box = "-" if found["box"] is None else ",".join(map(str, found["box"]))
-        name = found["category"] or "none of these"
-        rows.append([str(number), name, chance(found["probability"]), box, _vector(found["centre"]), states])
+        sure = sum(found["probabilities"][name] for name in found["likely"])
+        rows.append([str(number), called(found["likely"]), chance(sure), box, _vector(found["centre"]), states])
     if not answer["too_flat"]:
         return table(rows)
     names, limit = " and ".join(answer["too_flat"]), f"{1000 * answer['lowest']:.0f} mm"

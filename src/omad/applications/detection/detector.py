@@ -11,7 +11,6 @@ from omad.common.arrays import as_doubles
 from omad.estimation.categories.late import AnyEstimator, LateEstimator
 from omad.estimation.categories.proposals import Proposals
 from omad.estimation.estimate import Estimate, plain
-from omad.estimation.evidence import measure_evidence
 from omad.geometry.rigid import box as bounds
 from omad.model.checkpoint import shipped_categories
 from omad.model.proposals.network import Proposer, shipped_proposer
@@ -26,6 +25,8 @@ LEAST = 150
 """Points of the smallest thing that is looked at."""
 SURE = 0.6
 """An object is of a category that is at least so likely; what reaches this for no category is none of them."""
+NONE = "none"
+"""Of the categories, where they are names."""
 WITHIN = 0.5
 """A thing with this share of its points in a box is what the box is about; its neighbours only reach inside."""
 MARGIN, TOUCHED = 0.05, 0.02
@@ -46,7 +47,7 @@ class Detection:
     estimate: Estimate | None
     """By its category, of its steadied points; None where it is of none."""
     evidence: dict[str, np.ndarray]
-    """(9,) what speaks ``against`` each category that was fitted: of about its size, and proposed."""
+    """(12,) what speaks ``against`` each category that was fitted: of about its size, and proposed."""
 
     @property
     def category(self) -> str | None:
@@ -57,6 +58,16 @@ class Detection:
     def probability(self) -> float:
         """That it is of its category; where it is of none, that it is indeed of none."""
         return self.probabilities[self.category]
+
+    @property
+    def likely(self) -> tuple[str, ...]:
+        """What it is, surely enough: its category, or ``NONE``; where some share the probability, as chests of four and
+        of five drawers do, each of these, likeliest first."""
+        names, sure = list[str](), 0.0
+        for name, share in self.probabilities.items():
+            if sure < SURE:
+                names, sure = [*names, name or NONE], sure + share
+        return tuple(names)
 
     @property
     def box(self) -> tuple[int, int, int, int] | None:
@@ -73,7 +84,8 @@ class Detection:
             {
                 "category": self.category,
                 "probability": self.probability,
-                "probabilities": {name or "none": value for name, value in self.probabilities.items()},
+                "likely": self.likely,
+                "probabilities": {name or NONE: value for name, value in self.probabilities.items()},
                 "box": self.box,
                 "points": len(self.observation.points),
                 "centre": bounds(self.observation.points).mean(0),
@@ -141,9 +153,7 @@ class Detector:
             for i, estimate in zip(rows, found, strict=True):
                 if not estimate.is_finite:  # no candidate at all
                     continue
-                measured = measure_evidence(steady[i], estimate, estimator.net.prior)
-                ratio = size_ratio(steady[i].points, estimator.category)
-                evidence[i][name] = against(measured, estimate, ratio, planes, proposals[i].doubt(name))
+                evidence[i][name] = against(steady[i], estimate, estimator.net.prior, planes, proposals[i].doubt(name))
                 estimates[i][name] = estimate
         detections = []
         for thing, numbers, candidates in zip(seen, evidence, estimates, strict=True):
@@ -170,6 +180,12 @@ def detect(depth_m: Any, K: Any, categories: Sequence[str] = (), box: Sequence[f
 @cache
 def _detector(categories: tuple[str, ...]) -> Detector:
     return Detector([LateEstimator.of(name) for name in categories])
+
+
+def called(likely: Sequence[str]) -> str:
+    """``Detection.likely`` in words."""
+    names = ["none of these" if name == NONE else name for name in likely]
+    return " or ".join(names) + "?" * (len(names) > 1)
 
 
 def measured_margin(frame: Observation) -> float:

@@ -16,9 +16,11 @@ from scipy.spatial import ConvexHull
 
 from omad.estimation.checks import USUAL_SIZE
 from omad.estimation.estimate import Estimate
-from omad.estimation.evidence import Evidence
+from omad.estimation.evidence import explanation, measure_evidence
 from omad.estimation.part_labels import OUTSIDE
+from omad.model.prior import OmadPrior
 from omad.objects.category import Category
+from omad.sensing.observation import Observation
 
 FITTED = Path(__file__).with_name("judgement.json")
 ODD_SIZE = 3.5
@@ -32,13 +34,16 @@ def size_ratio(points: np.ndarray, category: Category) -> float:
     return float(np.linalg.norm(np.ptp(points, axis=0))) / (USUAL_SIZE * category.metres_per_unit)
 
 
-def against(evidence: Evidence, estimate: Estimate, ratio: float, planes: np.ndarray, doubt: float) -> np.ndarray:
-    """(9,) what speaks against a category; grows as it fits worse. ``ratio`` is the ``size_ratio``; ``planes`` (P, 4)
-    are those of table, floor and walls, n . p = d, n towards the camera; ``doubt`` is that of ``Proposals``."""
-    odd_size = math.log(max(ratio, 1e-6)) ** 2
+def against(thing: Observation, estimate: Estimate, prior: OmadPrior, planes: np.ndarray, doubt: float) -> np.ndarray:
+    """(12,) what speaks against the category by whose network and ``prior`` a thing was estimated; grows as it fits
+    worse. ``planes`` (P, 4) are those of table, floor and walls, n . p = d, n towards the camera; ``doubt`` is that of
+    ``Proposals``."""
+    evidence, explained = measure_evidence(thing, estimate, prior), explanation(thing, estimate)
     fit = [evidence.unsure, evidence.shape_mahalanobis, evidence.uncovered, evidence.unseen]
+    odd_size = math.log(max(size_ratio(thing.points, estimate.category), 1e-6)) ** 2
     outside = math.sqrt(float((estimate.part_labels == OUTSIDE).mean()))
-    return np.array([*fit, odd_size, _solidity(estimate), outside, _tilt(estimate, planes), doubt])
+    stands = [_solidity(estimate), outside, _tilt(estimate, planes), doubt]
+    return np.array([*fit, odd_size, *stands, explained.in_front, explained.behind, explained.missing])
 
 
 def _tilt(estimate: Estimate, planes: np.ndarray) -> float:
@@ -60,7 +65,7 @@ class Judgement:
     """Weights of the evidence, by the names of categories: their networks differ in how sure they are."""
 
     weights: Mapping[str, Sequence[float]]
-    """(9,) log-odds per unit of what ``against`` returns."""
+    """(12,) log-odds per unit of what ``against`` returns."""
     offsets: Mapping[str, float]
     """Log-odds of a category over none where nothing speaks against it."""
 
@@ -70,7 +75,7 @@ class Judgement:
         return cls(**json.loads(FITTED.read_text(encoding="utf-8")))
 
     def probabilities(self, evidence: Mapping[str, np.ndarray]) -> dict[str | None, float]:
-        """Of the categories whose evidence (9,) is given by their names, and of none of them (None); likeliest first.
+        """Of the categories whose evidence (12,) is given by their names, and of none of them (None); likeliest first.
         A category of one's own has the mean weights of the known ones."""
         scores: dict[str | None, float] = {None: 0.0}
         for name, values in evidence.items():
