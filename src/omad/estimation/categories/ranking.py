@@ -28,9 +28,9 @@ from .late import AnyEstimator
 from .proposals import Proposals
 
 USUAL = Path(__file__).with_name("usual.json")
-LOG_ODDS = np.array([0.19, 2.4, 2.3, 7.6, 9.7, 1.9, 0.8, 6.9])
+LOG_ODDS = np.array([0.18, 3.3, 1.9, 5.1, 8.5, 3.3, 0.78, 4.8])
 """Per unit of what speaks ``against`` a category, in its order."""
-PROPOSED = 0.72
+PROPOSED = 0.64
 """Per unit of the look's log-odds of none over a category."""
 OFFSET = 2.2
 """Log-odds of a category over none where no more than usual speaks against it, and the look takes it for as likely."""
