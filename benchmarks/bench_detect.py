@@ -61,6 +61,8 @@ class Config:
     seed: int = 0
     kinds: tuple[str, ...] = ("table", "floor", "shrunk")
     """Of scenes to measure on."""
+    categories: tuple[str, ...] = ()
+    """That are asked for; default: all that have weights."""
     weights: Path | None = None
     """Folder with a sub-folder a category in place of the shipped weights."""
 
@@ -148,7 +150,8 @@ def fitted(names: Sequence[str], found: Sequence[Example]) -> Judgement:
 
 
 def main(config: Config) -> None:
-    folders = [config.weights / name if config.weights else name for name in shipped_categories()]
+    names = config.categories or shipped_categories()
+    folders = [config.weights / name if config.weights else name for name in names]
     detector = Detector([LateEstimator.of(folder) for folder in folders])
     if config.fit:
         judgement = fit(config, detector)

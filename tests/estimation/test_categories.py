@@ -14,7 +14,7 @@ from omad.data.rendering.depth_noise import ON
 from omad.data.rendering.standard_views import standard_view
 from omad.estimation.categories import late
 from omad.estimation.categories.late import LateEstimator, shipped_estimators
-from omad.estimation.categories.proposals import ENOUGH, MOST, UNKNOWN, Proposals
+from omad.estimation.categories.proposals import ENOUGH, MOST, UNASKED, UNKNOWN, Proposals
 from omad.estimation.categories.ranking import Ranking, rank
 from omad.estimation.estimator import Estimator
 from omad.model.checkpoint import shipped_categories
@@ -64,6 +64,15 @@ def test_what_the_look_does_not_know_is_always_fitted():
     assert proposals.doubt("own") == pytest.approx(np.log(0.02 / UNKNOWN))
     assert Proposals.of({"a": 0.9, None: 0.1}, ["a"]).doubt("a") == pytest.approx(-logit(0.9))
     assert Proposals.of({"a": 0.9, None: 0.1}, ["own"]).none == pytest.approx(1)
+
+
+def test_who_names_categories_is_believed_more_than_the_look():
+    look = {"drawer_4": 0.6, "drawer": 0.3, "jar": 0.05, None: 0.05}
+    of_all, of_one = (Proposals.of(look, names) for names in (["drawer", "drawer_4"], ["drawer"]))
+    assert of_all.shares == pytest.approx({"drawer_4": 0.6, "drawer": 0.3})
+    assert of_all.none == pytest.approx(0.1)  # jars have no weights: nobody could have named them
+    assert of_one.doubt("drawer") == pytest.approx(np.log((0.1 + UNASKED * 0.6) / 0.3))
+    assert sum(of_one.shares.values()) + of_one.none == pytest.approx(1)
 
 
 # an answer

@@ -23,7 +23,7 @@ from .judgement import ODD_SIZE, Judgement, against, size_ratio
 
 LEAST = 150
 """Points of the smallest thing that is looked at."""
-SURE = 0.6
+SURE = 0.5
 """An object is of a category that is at least so likely; what reaches this for no category is none of them."""
 NONE = "none"
 """Of the categories, where they are names."""

@@ -3,7 +3,10 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Self
+
+from omad.model.checkpoint import shipped_categories
 
 MOST = 5
 """Categories that are fitted, at most, ..."""
@@ -13,6 +16,9 @@ UNKNOWN = 0.05
 """Probability of a category that the look does not know, as one of a user's own."""
 LEAST = 1e-4
 """Probability of anything."""
+UNASKED = 0.1
+"""As how many times as likely as the look has it a category with weights counts that was not asked for: who names
+categories knows what may be there, as a look does not, which takes one for its like."""
 
 
 @dataclass(frozen=True)
@@ -27,8 +33,11 @@ class Proposals:
     @classmethod
     def of(cls, look: Mapping[str | None, float], names: Sequence[str]) -> Self:
         """``look``: as a ``Proposer`` gives it; ``names``: of the categories that can be fitted."""
-        shares = {name: share for name, share in look.items() if name is not None and name in names}
-        return cls(shares, sum(share for name, share in look.items() if name not in shares))
+        unasked = _with_weights() - set(names)
+        odds = {name: share * (UNASKED if name in unasked else 1) for name, share in look.items()}
+        total = sum(odds.values())
+        shares = {name: one / total for name, one in odds.items() if name is not None and name in names}
+        return cls(shares, max(1 - sum(shares.values()), 0.0))
 
     def doubt(self, name: str) -> float:
         """Log-odds of none of the categories that can be fitted over this one."""
@@ -43,3 +52,8 @@ class Proposals:
                 chosen.append(name)
             before += self.shares[name]
         return chosen + [name for name in names if name not in self.shares]
+
+
+@cache
+def _with_weights() -> frozenset[str]:
+    return frozenset(shipped_categories())
