@@ -63,17 +63,18 @@ def test_every_thing_is_answered_and_says_how_sure_it_is() -> None:
 
 
 @pytest.mark.parametrize(
-    ("probabilities", "name"),
+    ("probabilities", "name", "sure"),
     [
-        ({"drawer": 0.61, None: 0.39}, "drawer"),
-        ({None: 0.9, "drawer": 0.1}, "none of these"),
-        ({"drawer_4": 0.4, "drawer_5": 0.3, "drawer": 0.2, None: 0.1}, "drawer_4 or drawer_5?"),
-        ({"oven": 0.45, None: 0.4, "safe": 0.15}, "oven or none of these?"),
+        ({"drawer": 0.61, None: 0.39}, "drawer", 0.61),
+        ({None: 0.9, "drawer": 0.1}, "none of these", 0.9),
+        ({"drawer_4": 0.4, "drawer_5": 0.3, "drawer": 0.2, None: 0.1}, "drawer_4 or drawer_5?", 0.7),
+        ({"oven": 0.45, None: 0.4, "safe": 0.15}, "oven or none of these?", 0.85),
     ],
 )
-def test_categories_that_share_the_probability_are_all_named(probabilities, name) -> None:
+def test_categories_that_share_the_probability_are_all_named(probabilities, name, sure) -> None:
     one = replace(answers(0)[0], probabilities=probabilities, estimate=None)
     assert called(one.likely) == name
+    assert one.likely_probability == pytest.approx(sure)
     assert one.to_dict()["likely"] == list(one.likely)
 
 

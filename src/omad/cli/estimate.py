@@ -225,8 +225,8 @@ def detections_text(answer: dict[str, Any]) -> str:
         joints = found["estimate"]["joints"] if found["estimate"] else []
         states = ", ".join(f"{joint['name']} {state_and_std(joint)}" for joint in joints) or "-"
         box = "-" if found["box"] is None else ",".join(map(str, found["box"]))
-        sure = sum(found["probabilities"][name] for name in found["likely"])
-        rows.append([str(number), called(found["likely"]), chance(sure), box, _vector(found["centre"]), states])
+        name, sure = called(found["likely"]), chance(found["likely_probability"])
+        rows.append([str(number), name, sure, box, _vector(found["centre"]), states])
     if not answer["too_flat"]:
         return table(rows)
     names, limit = " and ".join(answer["too_flat"]), f"{1000 * answer['lowest']:.0f} mm"

@@ -70,6 +70,11 @@ class Detection:
         return tuple(names)
 
     @property
+    def likely_probability(self) -> float:
+        """That it is one of the ``likely``."""
+        return sum(list(self.probabilities.values())[: len(self.likely)])
+
+    @property
     def box(self) -> tuple[int, int, int, int] | None:
         """x1, y1, x2, y2 in pixels, half-open; None in a bare cloud."""
         if self.observation.pixels is None:
@@ -85,6 +90,7 @@ class Detection:
                 "category": self.category,
                 "probability": self.probability,
                 "likely": self.likely,
+                "likely_probability": self.likely_probability,
                 "probabilities": {name or NONE: value for name, value in self.probabilities.items()},
                 "box": self.box,
                 "points": len(self.observation.points),

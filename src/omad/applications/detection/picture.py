@@ -10,7 +10,7 @@ from omad.estimation.estimate import chance
 from omad.output.picture import blank_panels, camera_around, draw_points, part_colours, plain_texts, shaded
 from omad.sensing.observation import Observation
 
-from .detector import NONE, Detection, called
+from .detector import Detection, called
 
 GREY = np.array([0.55, 0.55, 0.55])
 
@@ -31,8 +31,7 @@ def figure(frame: Observation, detections: Sequence[Detection], title: str = "")
         points = found.observation.points
         colour = GREY if found.category is None else part_colours(number)
         draw_points(seen, camera, points, colour)
-        sure = sum(found.probabilities[None if name == NONE else name] for name in found.likely)
-        name = f"{number} {called(found.likely)} {chance(sure)}"
+        name = f"{number} {called(found.likely)} {chance(found.likely_probability)}"
         x, y = np.median(camera.project(points), axis=0)
         seen.text(x, y, name, ha="center", bbox={"facecolor": "white", "alpha": 0.7, "pad": 1.5, "linewidth": 0})
         if found.estimate is not None:
