@@ -148,6 +148,12 @@ def test_folders_and_stacks_give_what_single_images_give(stored):
     assert [frame.name for frame in several.after(7)] == names[7:]
 
 
+def test_stacks_of_label_images_are_read_by_their_number(stored):
+    np.save(stored / "labels.npy", np.where(masks(), 3, 7).astype(np.uint8))
+    reading = replace(READING, mask=stored / "labels.npy", mask_id=3)
+    assert_same(outcomes_of(open_sources([stored / "stack.npy"], reading)), masked=True)
+
+
 def columns(form: str) -> dict[str, list]:
     """Of a Parquet file, with the views in one of its forms."""
     size = {"height": [480] * 6, "width": [640] * 6}
@@ -173,6 +179,15 @@ def test_parquet_gives_what_single_images_give(stored):
     assert [frame.name for frame in source.after(0)] == list("abcdef")
     assert [frame.name for frame in source.after(5)] == ["f"]
     assert_same(outcomes_of(source), masked=True)
+    labels = [Image.fromarray(np.where(mask, 3, 7).astype(np.uint8)) for mask in masks()]
+    for i, image in enumerate(labels):
+        image.save(stored / "mask" / f"{i}.png")
+    numbered = images | {"mask": [(stored / "mask" / f"{i}.png").read_bytes() for i in range(6)]}
+    parquet.write_table(table(numbered), file)
+    assert_same(outcomes_of(open_sources([file], InputOptions(mask_id=3))), masked=True)
+    np.savetxt(stored / "K.txt", np.eye(3))
+    parquet.write_table(table(images | {"intrinsics": [str(stored / "K.txt")] * 6}), file)
+    assert all("intrinsics" in (outcome.refused or "") for outcome in outcomes_of(open_sources([file])))
     images["depth"][2] = b"no image"
     parquet.write_table(table(images), file)
     refused = [outcome.refused for outcome in outcomes_of(open_sources([file]))]

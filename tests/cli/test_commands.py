@@ -367,5 +367,8 @@ def test_detect_finds_every_object_of_a_frame(capsys):
     kept = json.loads(Path("omad-detect/detect.json").read_text())
     assert kept["objects"] == found["objects"]
     assert Path("omad-detect/detect.png").stat().st_size > 0
+    Image.fromarray(np.zeros(scene.depth.shape, np.uint8)).save("table.mask.png")  # as others may lie beside it
+    again = answer(capsys, "detect", "table.png", *K, "--categories", "laptop")
+    assert [one["box"] for one in again["objects"]] == [one["box"] for one in found["objects"]]
     assert run(["detect", "table.png", *K, "--categories", "laptop", "--box", "0,0,640,480"]) == 0
     assert "laptop" in capsys.readouterr().out

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -11,7 +12,8 @@ from helpers.command_line import LAPTOP, K, answer, refused, save_png
 from helpers.confidences import always
 from omad.cli.main import run
 from omad.estimation.confidence.model import FILE
-from omad.model.checkpoint import find_weights
+from omad.model.checkpoint import find_weights, load, save
+from omad.model.omadnet import OmadNet
 from omad.objects.category_file import get_category
 
 
@@ -60,13 +62,22 @@ def test_a_thing_may_be_of_none_of_the_categories(capsys):
     command = ["estimate", image, "--category", "auto", *K]
     found = answer(capsys, *command)
     assert (found["category"], found["doubtful"], found["joints"]) == (None, True, [])
-    assert found["probability"] > max(one["probability"] for one in found["categories"])
+    assert found["none"] > max(one["probability"] for one in found["categories"])
+    assert found["probability"] is None  # of joints that there are not
     written = json.loads((Path(found["output"]) / "estimate.json").read_text())
     assert written == {key: value for key, value in found.items() if key not in ("input", "output")}
     assert answer(capsys, *command, "--strict", code=1)["category"] is None
     assert run(command) == 0
     assert "none of the categories (probability" in capsys.readouterr().out
     assert answer(capsys, "estimate", save_png("b.png"), *command[2:])["category"] == "laptop"
+
+
+def test_a_category_of_ones_own_is_tried_beside_the_shipped_ones(capsys):
+    net = load(OmadNet, find_weights("laptop"))
+    net.category = replace(net.category, name="notebook")
+    save(net, Path("own"), {})
+    found = answer(capsys, "estimate", save_png("a.png"), "--category", "auto", "--weights", "own", *K)
+    assert {"notebook", "laptop"} <= {one["category"] for one in found["categories"]}
 
 
 @pytest.mark.slow

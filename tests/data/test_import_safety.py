@@ -137,6 +137,13 @@ BAD = {
 }
 
 
+def test_a_xacro_file_is_named_as_one(tmp_path):
+    file = tmp_path / "arm.urdf"
+    file.write_text('<robot xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:property name="a" value="1"/></robot>')
+    with pytest.raises(InputError, match="run xacro on it"):
+        read_articulation(file)
+
+
 @pytest.mark.parametrize("text", BAD.values(), ids=BAD.keys())
 def test_a_bad_urdf_is_one_line(text, tmp_path):
     file = tmp_path / "bad.urdf"

@@ -335,6 +335,19 @@ def test_missing_meshes_may_be_done_without(mixed, capsys):
     assert "oven-0-3" in line
 
 
+def test_what_is_odd_about_a_model_is_noted(capsys):
+    write_microwaves(Path("models"), 1)
+    [model] = sorted(Path("models").iterdir())
+    made = answer(capsys, "import", str(model), *WITH, "--output", "large", "--scale", "1000")
+    assert "m across" in made["notes"][0]["reason"]
+    assert "--scale" in made["notes"][0]["reason"]
+    file = next(model.glob("*.urdf"))
+    lost = '<visual><geometry><mesh filename="lost.obj"/></geometry></visual>'
+    file.write_text(file.read_text().replace("</link>", f"{lost}</link>", 1))
+    made = answer(capsys, "import", str(model), *WITH, "--output", "ours", "--missing-meshes", "skip")
+    assert "without 1 of its mesh files" in made["notes"][0]["reason"]
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [

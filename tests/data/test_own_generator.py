@@ -62,6 +62,34 @@ WRONG = {
 }
 
 
+NUMBERS = {
+    "a part of nothing": ("merge_meshes([])", "", "no face of the part"),
+    "vertices that are none": ("box((0, 0, 0), (0.1, 0.1, np.nan))", "", "vertices of the part .* no finite numbers"),
+    "pivots that are none": (
+        "box((0, 0, 0), (0.1, 0.1, 0.1))",
+        ", np.full((1, 3), np.nan)",
+        "pivots that are no finite",
+    ),
+    "an axis of nothing": ("box((0, 0, 0), (0.1, 0.1, 0.1))", ", axes=np.zeros((1, 3))", "axis without a direction"),
+    "limits turned": ("box((0, 0, 0), (0.1, 0.1, 0.1))", ", limits=np.array([[1.0, 0.0]])", "the wrong way round"),
+    "limits in degrees": ("box((0, 0, 0), (0.1, 0.1, 0.1))", ", limits=np.array([[0.0, 90.0]])", "give radians"),
+    "millimetres": ("box((0, 0, 0), (300, 300, 300))", "", "520 m across, .* give metres"),
+}
+
+
+@pytest.mark.parametrize(("part", "further", "said"), NUMBERS.values(), ids=NUMBERS)
+def test_numbers_that_cannot_be_are_said_in_a_line(part, further, said, tmp_path):
+    file = tmp_path / "own.py"
+    pivots = "" if "pivot" in said else ", np.zeros((1, 3))"
+    file.write_text(
+        "import numpy as np\nfrom omad.data.procedural.vocabulary import JointedParts, box\n"
+        "from omad.geometry.mesh import merge_meshes\n\n\ndef generate(rng, category, unusual):\n"
+        f"    return JointedParts(({part},) * 2{pivots}{further})\n"
+    )
+    with pytest.raises(InputError, match=said):
+        own_generator(file)(np.random.default_rng(0), MAILBOX, None)
+
+
 @pytest.mark.parametrize(("text", "said"), WRONG.values(), ids=WRONG)
 def test_what_is_wrong_in_one_is_said_in_a_line(text, said, tmp_path):
     file = tmp_path / "own.py"

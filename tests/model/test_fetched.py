@@ -87,6 +87,23 @@ def test_any_file_system_of_fsspec(exported):
     assert fetch(exported.as_uri()) == folder  # out of reach: what is kept is used
 
 
+def test_an_update_that_is_cut_short_leaves_what_was_there(exported):
+    pytest.importorskip("fsspec", reason="other file systems are an extra: pip install 'omad[remote]'")
+    folder = fetch(exported.as_uri())
+    before = {path.name: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    config = exported / "config.json"
+    config.write_text(config.read_text() + " ")
+    rewrite(exported, lambda files: files["config.json"].update(
+        sha256=hashlib.sha256(config.read_bytes()).hexdigest(), bytes=config.stat().st_size
+    ))  # fmt: skip
+    (exported / "model.safetensors").rename(exported / "away")
+    with pytest.raises(InputError, match=r"model\.safetensors"):
+        fetch(exported.as_uri())
+    assert {path.name: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == before
+    (exported / "away").rename(exported / "model.safetensors")
+    assert (fetch(exported.as_uri()) / "config.json").read_bytes() == config.read_bytes()
+
+
 def test_a_damaged_file_is_refused(exported):
     damaged = bytearray((exported / "model.safetensors").read_bytes())
     damaged[-1] ^= 1

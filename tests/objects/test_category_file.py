@@ -186,6 +186,10 @@ SLIPS = {
     "no name": ('name = "my_microwave"\n', "", "name"),
     "empty name": ('"my_microwave"', '""', "name"),
     "name of a number": ('"my_microwave"', "3", "name"),
+    "the name of any": ('"my_microwave"', '"auto"', "name"),
+    "sides in per cent": (
+        'name = "door"', 'name = "door"\nsides = [[30, 100], [0, 1], [0, 1]]', "parts[1].sides",
+    ),
     "built-in name": ('"my_microwave"', '"laptop"', "name"),
     "no unit": ("metres_per_unit = 0.3\n", "", "metres_per_unit"),
     "unit zero": ("= 0.3", "= 0", "metres_per_unit"),

@@ -77,6 +77,16 @@ def test_coco_run_lengths(tmp_path: Path) -> None:
     assert np.array_equal(read_mask(tmp_path / "annotation.json"), RING)
 
 
+def test_masks_of_segmenters_are_taken_as_they_come() -> None:
+    assert np.array_equal(as_mask(MASK[None, None]), MASK)
+    assert np.array_equal(as_mask(np.where(MASK, 0.9, np.nan)), MASK)
+
+
+def test_a_string_that_goes_on_for_ever_is_refused_at_once() -> None:
+    with pytest.raises(InputError, match="no string of COCO run lengths"):
+        as_mask({"size": [40, 60], "counts": "o" * 10_000_000})
+
+
 def test_polygons() -> None:
     triangle, square = [1, 1, 9, 1, 1, 9], [20, 20, 24, 20, 24, 24, 20, 24]
     found = as_mask({"size": [40, 60], "segmentation": [triangle, square]})
@@ -89,7 +99,6 @@ def test_polygons() -> None:
     ("wrong", "cure"),
     [
         (np.where(MASK, 4.2, -3.1), "logits; pass mask > 0"),
-        (np.full(MASK.shape, np.nan), "logits"),
         (np.stack([MASK] * 2), "holds 2 masks; pass one of them"),
         (MASK[0], r"shape \(H, W\)"),
         (np.full(MASK.shape, "a"), "booleans or numbers"),

@@ -141,7 +141,10 @@ def test_intrinsics() -> None:
 
 def test_crops() -> None:
     refused("mask", "(10, 10)", "(48, 64)", mask=np.ones((10, 10)))
-    refused("0 of 600", mask=np.zeros((48, 64)))
+    refused("mask", "empty", mask=np.zeros((48, 64)))
+    corner = np.zeros((48, 64))
+    corner[:5, :5] = 1
+    refused("0 of 600", mask=corner)
     refused("outside", "64x48", box=(70, 0, 80, 20))
     refused("x1 < x2", box=(30, 0, 20, 20))
     refused("x1, y1, x2, y2", box=(1, 2, 3))

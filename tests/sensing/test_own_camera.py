@@ -299,7 +299,9 @@ def test_options_that_do_not_fit_are_refused(frame, capsys):
     ):
         assert word in refused(capsys, *depth, *options)
     assert "640x480" in refused(capsys, "estimate", "depth.png", *LAPTOP, "--intrinsics", "color.json")
-    assert "auto" in refused(capsys, "estimate", "depth.png", "--category", "auto", *K_OPTION, "--weights", "weights")
+    auto = ["estimate", "depth.png", "--category", "auto", *K_OPTION]
+    assert "auto" in refused(capsys, *auto, "--together", "depth-to-color.json")
+    assert "elsewhere" in refused(capsys, *auto, "--weights", "elsewhere")
 
 
 @pytest.mark.slow

@@ -23,16 +23,15 @@ def scene() -> np.ndarray:
 def plain_thin_parts(mask: np.ndarray, depth: np.ndarray) -> np.ndarray:
     """The definition, pixel by pixel."""
 
-    def behind(row: int, column: int, z: float) -> bool:
-        return depth[row, column] == 0 or depth[row, column] > z * (1 + BEHIND)
-
     def edge(row: int, column: int, down: int, right: int) -> int:
+        farthest = depth[row, column]
         for steps in range(1, WIDTH + 1):
             r, c = row + steps * down, column + steps * right
             if not (0 <= r < depth.shape[0] and 0 <= c < depth.shape[1]):
                 break
-            if behind(r, c, depth[row, column]):
+            if depth[r, c] == 0 or depth[r, c] > farthest * (1 + BEHIND):
                 return steps
+            farthest = max(farthest, depth[r, c])
         return 10 * WIDTH
 
     thin = np.zeros_like(mask)
@@ -67,6 +66,14 @@ def test_a_right_mask_stays_as_it_is_and_so_does_a_wide_one():
     depth = scene()
     for mask in (depth == 1.0, grown(depth == 1.0, 4), np.ones_like(depth, bool), np.zeros_like(depth, bool)):
         np.testing.assert_array_equal(with_thin_parts(mask, depth), mask)
+
+
+def test_a_mask_does_not_run_along_the_rim_of_a_table_seen_aslant():
+    depth = np.zeros((120, 100), np.float32)
+    depth[:90] = 1.3 - 0.004 * np.arange(90)[:, None]  # nearest at its rim; beyond, nothing is measured
+    mask = np.zeros_like(depth, bool)
+    mask[60:84, 40:60] = True
+    np.testing.assert_array_equal(with_thin_parts(mask, depth), mask)
 
 
 def test_what_goes_on_too_far_is_something_else():

@@ -111,6 +111,18 @@ def test_a_full_disk_leaves_the_state_that_was_there(tmp_path, monkeypatch):
     assert not list(tmp_path.glob(".omad-*"))
 
 
+def test_weights_that_are_not_finite_are_not_saved(tmp_path):
+    def spoilt(model, generator):
+        found = terms(model, generator)
+        return found if len(seen := steps) < 13 and not seen.append(1) else {"fit": found["fit"] * torch.inf}
+
+    steps: list[int] = []
+    schedule = replace(SCHEDULE, steps=14, log_steps=100)
+    with pytest.raises(WorkError, match="not finite at step 14; lower the learning rate"):
+        train(fresh(), spoilt, schedule, tmp_path, {})
+    assert not (tmp_path / "state.pt").exists()
+
+
 def test_what_a_killed_training_left_unfinished_goes(tmp_path):
     files._sweep.cache_clear()
     (tmp_path / ".omad-1234.pt").write_bytes(b"half a state")

@@ -3,24 +3,22 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
 from omad.common.errors import InputError
 from omad.estimation.categories.late import AnyEstimator
 from omad.estimation.categories.ranking import Ranking, rank, suspected
-from omad.estimation.checks import Check, camera_doubts, doubts, gravity_doubts, is_doubtful
+from omad.estimation.checks import Check, believed, camera_doubts, doubts, gravity_doubts, is_doubtful
 from omad.estimation.estimate import Estimate
 from omad.estimation.estimator import Estimator
-from omad.estimation.known import Known
+from omad.estimation.known import NOTHING_KNOWN, Known
 from omad.estimation.several_views import contradictions
 from omad.sensing.observation import Observation
 
 from .detection.cutting import ObjectFinder
 from .detection.detector import Detector
-
-NOTHING_KNOWN = Known()
 
 
 @dataclass(frozen=True)
@@ -35,6 +33,11 @@ class Found:
     none: bool = False
     """It is of none of the categories: the estimate is by the one that it is likest."""
 
+    @classmethod
+    def of(cls, estimate: Estimate, checks: list[Check], ranking: Ranking | None = None, none: bool = False) -> Self:
+        """With the estimate as far as the checks let it be believed."""
+        return cls(believed(estimate, checks), checks, ranking, none)
+
     @property
     def doubtful(self) -> bool:
         """Whether it is rather wrong than right."""
@@ -47,7 +50,7 @@ class Found:
     def none_of_them(self) -> dict[str, Any]:
         """What is said of a thing that is of none of the categories."""
         assert self.ranking is not None
-        nothing = {"category": None, "converged": False, "joints": [], "parts": [], "probability": self.ranking.none}
+        nothing = {"category": None, "converged": False, "joints": [], "parts": [], "probability": None}
         return {**nothing, "warnings": [*self.estimate.warnings], **self._doubts()}
 
     def _doubts(self) -> dict[str, Any]:
@@ -81,7 +84,7 @@ class Solver:
             if not ranking.candidates:
                 raise InputError("is of none of the categories, at no size; check depth scale, mask and intrinsics")
             best = ranking.candidates[0].estimate
-            return Found(best, doubts(observation, best, depth_scale), ranking, ranking.is_none)
+            return Found.of(best, doubts(observation, best, depth_scale), ranking, ranking.is_none)
         return self.judged(observation, self.chosen(observation, self.known), depth_scale)
 
     def judged(
@@ -95,7 +98,7 @@ class Solver:
         if not estimate.is_finite:
             raise InputError(f"no answer: {checks[0]}")
         if not further:
-            return Found(estimate, checks)
+            return Found.of(estimate, checks)
         checks += gravity_doubts(observation, estimate, self.known, chosen)
         if not checks:
             checks += camera_doubts(observation, estimate, lambda views: chosen(views, self.known))
@@ -103,14 +106,14 @@ class Solver:
         if (checks and not odd_size) or self.compare:
             ranking = rank(observation, self.all, self.known, always=[chosen.category.name])
             checks += suspected(estimate, ranking)
-        return Found(estimate, checks, ranking)
+        return Found.of(estimate, checks, ranking)
 
     def together(self, views: Sequence[Observation], poses: Sequence[Any], depth_scale: float | None) -> list[Found]:
         """Views of one object, by the category asked for; ``poses`` (4, 4) T_world_camera of each."""
         assert self.chosen is not None
         estimates = self.chosen(views, self.known, T_world_camera=np.stack(poses))
         rows = zip(views, estimates, strict=True)
-        return [Found(e, [*doubts(view, e, depth_scale), *contradictions(e)]) for view, e in rows]
+        return [Found.of(e, [*doubts(view, e, depth_scale), *contradictions(e)]) for view, e in rows]
 
     def find(self, frame: Observation, box: Sequence[float] | None) -> Observation:
         """The object in a whole frame. Raises InputError."""

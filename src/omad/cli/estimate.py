@@ -30,14 +30,18 @@ with lazy_imports():
     from omad.estimation import world
     from omad.estimation.categories.late import AnyEstimator, LateEstimator, shipped_estimators
     from omad.estimation.estimate import chance
+    from omad.objects.category import Category
     from omad.output import picture
     from omad.output.formats import check_formats, save_formats
     from omad.output.page import save_html
     from omad.sensing.camera_files import read_transform
     from omad.sensing.reader import InputReader, input_files, parse_numbers
 
+CHOICE = (
+    f"{BUILT_IN}; auto: the likeliest are tried, with the one of --weights where these are given, and ranked by how"
+    f" well they explain what is seen; {OWN}"
+)
 AUTO = "auto"
-CHOICE = f"{BUILT_IN}; auto: the likeliest are tried, and ranked by how well they explain what is seen; {OWN}"
 DOUBTFUL = 1
 """Exit code of --strict."""
 
@@ -87,13 +91,13 @@ class EstimateCommand(CategoryCommand):
         reader = InputReader.of(self.reading, files, self.frame)
         poses = self._poses(len(files))
         known, auto = world.known_gravity(self.gravity, poses[0] if poses else None), self.category == AUTO
-        if auto and (self.weights is not None or self.together):
-            option = "--together" if self.together else "--weights"
-            raise InputError(f"--category auto: does not go with {option}; leave that out, or name a category")
+        if auto and self.together:
+            raise InputError("--category auto: does not go with --together; leave that out, or name a category")
         if self.to_surface and self.together:
             raise InputError("--to-surface: each of several views would go its own way; leave it or --together out")
-        chosen = None if auto else self.estimator(self.fast)
-        every = partial(_all_categories, chosen, self.device)
+        own = None if auto and self.weights is None else self.estimator(self.fast)
+        chosen = None if auto else own
+        every = partial(_all_categories, own, self.device)
         solver = Solver(chosen, every, known, self.compare, self.to_surface)
         reader = replace(reader, find=solver.find)
         if self.together:
@@ -119,6 +123,11 @@ class EstimateCommand(CategoryCommand):
             return Answer(results[0], joints_text, code)
         return Answer({"results": results, "refused": refused}, results_text, code)
 
+    def check_weights(self, found: Category) -> None:
+        """With --category auto they may be of any: theirs is one of those that are tried."""
+        if self.category != AUTO:
+            super().check_weights(found)
+
     def _code(self, results: Sequence[dict[str, Any]], enough: Callable[[Iterable[bool]], bool]) -> int:
         """The exit code of so many results, where it is ``enough`` of them that have to be answers."""
         if not enough(result["converged"] or result["category"] is None for result in results):
@@ -132,7 +141,7 @@ class EstimateCommand(CategoryCommand):
         if self.world is not None:
             raise InputError("--together: tells where the cameras are; leave out --world")
         if len(self.together) != inputs:
-            raise InputError(f"--together: {len(self.together)} poses for {inputs} inputs; give one file for each")
+            raise InputError(f"--together: {len(self.together)} poses for {inputs} different inputs; give one for each")
         return [read_transform(file, "T_world_camera") for file in self.together]
 
     def _finish(self, view: _Read, found: Found, T_world_camera: Any) -> dict[str, Any]:
@@ -196,7 +205,7 @@ class Detect(CategoriesCommand):
     def run(self) -> Answer:
         check_positive(depth_scale=self.depth_scale)
         options = InputOptions(intrinsics=self.intrinsics, depth_scale=self.depth_scale)
-        frame = InputReader.of(options, [self.input])(self.input)
+        frame = replace(InputReader.of(options, [self.input]), whole=True)(self.input)
         corners = None if self.box is None else parse_numbers(self.box, 4, "--box")
         began = time.perf_counter()
         detector = Detector(
@@ -211,7 +220,8 @@ class Detect(CategoriesCommand):
         warnings = [*frame.warnings, *look.doubts]
         for warning in warnings:
             print(f"{self.input}: warning: {warning}", file=sys.stderr)
-        write_json(self.output / "detect.json", record | {"warnings": warnings})
+        record["warnings"] = warnings
+        write_json(self.output / "detect.json", record)
         picture.save(detection_picture.figure(frame, found, self.input.name), self.output / "detect.png")
         named = sum(one.category is not None for one in found)
         print(f"{self.input}: {named} objects, {len(found) - named} other things -> {self.output}", file=sys.stderr)
@@ -236,7 +246,7 @@ def detections_text(answer: dict[str, Any]) -> str:
 
 def nearest_text(answer: dict[str, Any]) -> str:
     """What is likest a thing that is of none of the categories."""
-    return f"probability {chance(answer['probability'])}; likest: {answer['categories'][0]['category']}"
+    return f"probability {chance(answer['none'])}; likest: {answer['categories'][0]['category']}"
 
 
 def joints_text(answer: dict[str, Any]) -> str:
@@ -290,9 +300,9 @@ class _Read:
         return cls(file, name, observation, time.perf_counter() - began)
 
 
-def _all_categories(chosen: omad.Estimator | None, device: str) -> list[AnyEstimator]:
-    """The one chosen, and those of all other categories with shipped weights."""
-    found: list[AnyEstimator] = [chosen] if chosen else []
+def _all_categories(own: omad.Estimator | None, device: str) -> list[AnyEstimator]:
+    """One's own, and those of all other categories with shipped weights."""
+    found: list[AnyEstimator] = [own] if own else []
     taken = {estimator.category.name for estimator in found}
     return found + [other for other in shipped_estimators(device) if other.category.name not in taken]
 

@@ -42,7 +42,7 @@ with lazy_imports():
     from omad.data.source import ViewSource, load_views
     from omad.evaluation.baselines import adam
     from omad.evaluation.baselines.siamese import SiameseEncoder
-    from omad.evaluation.evaluate import draw_worst, evaluate, summary
+    from omad.evaluation.evaluate import draw_worst, evaluate, failed, summary
     from omad.evaluation.evaluate_shards import PoseWork, from_rows
     from omad.evaluation.keypoint_spread import keypoint_spread
     from omad.evaluation.paper import published
@@ -88,7 +88,9 @@ class EvalPose(CategoryCommand):
         source = self.data.load(category)
         results = evaluate(estimator, source.views, source.total, to_surface=self.to_surface)
         answer = summary([result.measured for result in results], category, self.data.source)
-        answer |= {"depth_noise": source.noisy, "refused": source.refused}
+        answer |= {"depth_noise": source.noisy, "refused": source.refused, "failed": failed(results)}
+        for reason, count in answer["failed"].items():
+            print(f"{self.data.source}: {count} of {len(results)} views: {reason}", file=sys.stderr)
         if self.pictures is not None:
             answer["pictures"] = draw_worst(results, category, self.pictures)
         return Answer(answer, pose_text, 1 if answer["failures"] == len(results) else 0)

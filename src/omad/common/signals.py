@@ -60,6 +60,7 @@ def deferred() -> Iterator[Stop]:
         yield stop
         return
     before = {number: signal.getsignal(number) for number in NAMES}
+    before = {number: handler for number, handler in before.items() if handler not in (signal.SIG_IGN, None)}
 
     def wait(number: int, frame: Any) -> None:
         stop.number = number
@@ -69,9 +70,8 @@ def deferred() -> Iterator[Stop]:
         for number, handler in before.items():
             signal.signal(number, handler)
 
-    for number, handler in before.items():
-        if handler not in (signal.SIG_IGN, None):
-            signal.signal(number, wait)
+    for number in before:
+        signal.signal(number, wait)
     try:
         yield stop
     finally:

@@ -1,7 +1,7 @@
 """What to look at where a result is doubtful: each item says what is wrong, why that may be, and what to do."""
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from omad.objects.category import Category
 from omad.sensing.observation import Observation
 
 from .estimate import Estimate
-from .evidence import explanation
+from .evidence import agreement, explanation
 from .known import Known
 
 USUAL_SIZE = 2.5
@@ -26,6 +26,8 @@ ODD_SIZE = 4.0
 """A cloud so many times larger or smaller than usual is none of the category at its size."""
 FACTORS = (0.001, 0.01, 0.1, 0.2, 5.0, 10.0, 100.0, 1000.0)
 """By which depth scales are wrong: millimetres for metres, tenths of millimetres or 1/5000 m for millimetres ..."""
+POINT = 1e-9
+"""Metres that no object is smaller than."""
 FOCAL_LENGTHS = (0.5, 2 / 3, 0.8, 1.25, 1.5, 2.0)
 """Of the one given, which may be right instead: those of other sizes of the image."""
 BETTER = 1.5
@@ -33,6 +35,11 @@ BETTER = 1.5
 UNEXPLAINED = 0.25
 """Share of the pixels of object and surface where the one is where the other is, 0.7 in a usual view, below which they
 are of two things."""
+RARELY = 0.06
+"""Share of answers that are right where the surface that was fitted to the image stays below it, too: two of 33 to
+spoilt views of unseen objects and of other things."""
+HALF_EXPLAINED = 0.5
+"""That of a fitted surface of which nothing is said."""
 TILTED, TELLING = 10.0, 0.8
 """Degrees by which objects seem to lean at most that do not (98 % of noisy views of most categories: 3 to 6), and the
 probability from which on an answer is believed in that."""
@@ -54,13 +61,15 @@ class Check:
     """What it may come from."""
     cure: str
     """What to do."""
+    grave: bool = False
+    """Answers of which this is said are hardly ever right (``RARELY``)."""
 
     def __str__(self) -> str:
         return f"{self.name}: {self.what}: {self.why}; {self.cure}"
 
     def to_dict(self) -> dict[str, str]:
-        """For JSON."""
-        return asdict(self)
+        """For JSON: what a person reads. How grave it is, the probability says."""
+        return {"name": self.name, "what": self.what, "why": self.why, "cure": self.cure}
 
 
 def doubts(observation: Observation, estimate: Estimate, depth_scale: float | None = None) -> list[Check]:
@@ -80,6 +89,13 @@ def is_doubtful(estimate: Estimate, found: Sequence[Check]) -> bool:
     """Whether an answer is rather wrong than right: by its probability; where it has none, if something was ``found``
     to be doubtful."""
     return bool(found) if estimate.doubtful is None else estimate.doubtful
+
+
+def believed(estimate: Estimate, found: Sequence[Check]) -> Estimate:
+    """The estimate with no higher a probability than what was ``found`` leaves it."""
+    if estimate.probability is None or not any(check.grave for check in found):
+        return estimate
+    return replace(estimate, probability=min(estimate.probability, RARELY))
 
 
 def size_doubts(observation: Observation, category: Category, depth_scale: float | None = None) -> Iterator[Check]:
@@ -115,7 +131,7 @@ class WrongScale:
 def wrong_scale(size: float, usual: float, depth_scale: float | None = None) -> WrongScale | None:
     """What depth must have been read wrongly by, where something is ``size`` metres large and ``usual`` is another;
     None where no common mistake explains it. ``depth_scale``: metres per number that it was read with, where known."""
-    factor = min(FACTORS, key=lambda factor: abs(np.log(size * factor / usual)))
+    factor = min(FACTORS, key=lambda factor: abs(np.log(max(size, POINT) * factor / usual)))
     if not usual / ODD_SIZE < size * factor < ODD_SIZE * usual:
         return None
     units = {0.001: "millimetres read as metres", 1000.0: "metres read as millimetres"}
@@ -138,7 +154,7 @@ def camera_doubts(
     found = estimator(views)
     residuals = np.array([one.residual for one in found])
     best = int(np.nan_to_num(residuals, nan=np.inf).argmin())
-    less_likely = (found[best].probability or 1.0) < (estimate.probability or 0.0)
+    less_likely = _probability(found[best]) < (estimate.probability or 0.0)
     if less_likely or not estimate.residual > BETTER * residuals[best]:
         return []
     likely = f"{FOCAL_LENGTHS[best] * camera.fx:.0f}"
@@ -164,7 +180,7 @@ def gravity_doubts(
         return []
     free = estimator(observation, replace(known, gravity=None))
     off = np.degrees(np.arccos(np.clip(estimate.T_camera_base[:3, 1] @ free.T_camera_base[:3, 1], -1, 1)))
-    if off <= TILTED or (free.probability or 1.0) < TELLING:
+    if off <= TILTED or _probability(free) < TELLING:
         return []
     return [
         Check(
@@ -174,6 +190,11 @@ def gravity_doubts(
             "give the direction in which things fall, x right, y down, z forward; or leave it out",
         )
     ]
+
+
+def _probability(estimate: Estimate) -> float:
+    """Of one without, nothing speaks against it."""
+    return 1.0 if estimate.probability is None else estimate.probability
 
 
 def _view_doubts(observation: Observation) -> Iterator[Check]:
@@ -217,13 +238,18 @@ def _fit_doubts(estimate: Estimate) -> Iterator[Check]:
 
 def _surface_doubts(observation: Observation, estimate: Estimate) -> Iterator[Check]:
     found = explanation(observation, estimate)
-    if found.explained < UNEXPLAINED and len(observation.points) >= FEW_POINTS:
+    if len(observation.points) < FEW_POINTS or found.explained >= UNEXPLAINED:
+        return
+    if estimate.is_finite:  # takes long; most answers are explained without it
+        found = agreement(estimate.surface.posed(), observation)
+    if found.explained < HALF_EXPLAINED:
         others = f"in front {found.in_front:.0%}, behind {found.behind:.0%}, missing {found.missing:.0%}"
         yield Check(
             "surface",
             f"the estimated surface is where {found.explained:.0%} of the pixels are ({others})",
             "pose, joint states or shape are wrong, or much of the mask is not the object",
             "look at estimate.png, where these pixels are coloured; try a better mask or another viewpoint",
+            grave=found.explained < UNEXPLAINED,
         )
 
 

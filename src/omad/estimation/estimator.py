@@ -42,14 +42,13 @@ from .checks import network_doubts, size_doubts
 from .confidence.model import Confidence
 from .confidence.signals import Meter, Signals
 from .estimate import Estimate, PoseEstimate
-from .known import Known, Near
+from .known import NOTHING_KNOWN, Known, Near
 from .looks.either_hand import surer_hands
 from .looks.look import Look, put_rows, rows_of
 from .looks.shown import Shown, check_observations
 from .looks.turned import HALF_TURNS, UNSURE, surer
 from .several_views import Rig, one_answer
 
-NOTHING_KNOWN = Known()
 Refine = Callable[[Refiner, Targets, State], Refined]
 """Minimises the energy that a refiner states, from an initial state."""
 MOST = 4096

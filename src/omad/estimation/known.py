@@ -73,6 +73,9 @@ class Known:
         return free_directions(len(category.joints), basis_size, self.beta is not None, held, gravity)
 
 
+NOTHING_KNOWN = Known()
+
+
 @dataclass(frozen=True)
 class Near:
     """Where an object that was seen before is expected, and what is believed of its shape. Camera frame, metres."""

@@ -22,6 +22,7 @@ from torch import Tensor
 
 from omad.common.arrays import numbers
 from omad.common.errors import InputError
+from omad.geometry.rigid import is_rotation
 from omad.geometry.transforms import MIRROR_X, invert_transform, transform_points, vector_angle
 from omad.model.fitting.state import Refined, State, Targets
 from omad.model.prior import OmadPrior
@@ -53,9 +54,7 @@ class Rig:
         another shape and for what is no rigid transform."""
         poses = numbers(T_world_camera, views, 4, 4, what="T_world_camera", unknown=True)
         for number, T in enumerate(poses, 1):
-            rotation, last = T[:3, :3], T[3]
-            rigid = np.isfinite(T).all() and np.allclose(last, [0, 0, 0, 1]) and np.linalg.det(rotation) > 0
-            if not rigid or not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3):
+            if not (np.isfinite(T).all() and np.allclose(T[3], [0, 0, 0, 1]) and is_rotation(T[:3, :3])):
                 raise InputError(f"T_world_camera: that of view {number} is no rotation and translation; correct it")
         relative = np.linalg.inv(poses[0]) @ poses
         relative[:, :3, 3] /= metres_per_unit
@@ -108,7 +107,8 @@ def correlation(angle: Tensor) -> Tensor:
 def one_answer(estimates: Sequence[Estimate]) -> list[Estimate]:
     """The estimates of all views, each with the warnings of all, and a further one where a view contradicts them. How
     sure the answer is, the views that agree say together: it is a little surer than the median of them, as the mean of
-    values that err alike is (measured, the error shrinks by 5 to 16 %)."""
+    values that err alike is (measured, the error shrinks by 5 to 16 %). Where they are not most of the views it may as
+    well be wrong, and so it may be in the frame of a view that contradicts it."""
     against = [tuple(map(str, contradictions(estimate))) for estimate in estimates]
     found = [(*estimate.warnings, *doubts) for estimate, doubts in zip(estimates, against, strict=True)]
     agree = [estimate for estimate, doubts in zip(estimates, against, strict=True) if not doubts] or list(estimates)
@@ -117,9 +117,11 @@ def one_answer(estimates: Sequence[Estimate]) -> list[Estimate]:
     std, tail = np.median(spreads, axis=0).T
     std *= _shrinkage(agree)
     told = [estimate.probability for estimate in agree if estimate.probability is not None]
-    probability = float(np.quantile(told, 2 / 3)) if told else None
+    share = len(agree) / len(estimates) if any(against) else 1.0
     made = []
-    for estimate in estimates:
+    for estimate, doubts in zip(estimates, against, strict=True):
+        believed = min(share, 1 - share) if doubts else share if share <= 0.5 else 1.0
+        probability = believed * float(np.quantile(told, 2 / 3)) if told else None
         sure = zip(estimate.joints, std.tolist(), tail.tolist(), strict=True)
         joints = tuple(replace(joint, state_std=own, tail=power) for joint, own, power in sure)
         made.append(replace(estimate, warnings=warnings, joints=joints, probability=probability))

@@ -1,5 +1,7 @@
 """How well an estimator does on views with known truth: the numbers of ``omad eval pose``."""
 
+import re
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -119,6 +121,18 @@ def summary(results: Sequence[Measured], category: Category, source: str) -> dic
         "by_object": by_object,
         "seconds": {"network": None, "refinement": None} | _medians(times),
     }
+
+
+def failed(results: Sequence[ViewResult]) -> dict[str, int]:
+    """Why views could not be estimated, and how many of them each time."""
+    reasons = Counter[str]()
+    for result in results:
+        if result.estimate is None:
+            try:
+                result.view.observation()
+            except InputError as error:
+                reasons[re.sub(r"\d+", "...", str(error))] += 1
+    return dict(reasons)
 
 
 def _medians(times: list[dict[str, float]]) -> dict[str, float]:

@@ -45,6 +45,12 @@ def rotate_each(T: np.ndarray, vectors: np.ndarray) -> np.ndarray:
     return (T[:, :3, :3] @ vectors[..., None])[..., 0]
 
 
+def is_rotation(matrix: np.ndarray) -> bool:
+    """Whether (3, 3) turns and does nothing else, to 1e-3: no reflection either."""
+    turns = np.isfinite(matrix).all() and np.allclose(matrix @ matrix.T, np.eye(3), atol=1e-3)
+    return bool(turns and np.linalg.det(matrix) > 0)
+
+
 def across(axis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Two unit vectors at right angles to a unit ``axis`` (3,), right-handed with it; which ones is arbitrary."""
     first = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])

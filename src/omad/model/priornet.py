@@ -19,6 +19,9 @@ from omad.objects.category import Category
 from .checkpoint import Network
 from .prior import OmadPrior
 
+WIDTH = 96
+"""Features of a point."""
+
 
 @dataclass(frozen=True)
 class PriorNetOutput:
@@ -33,18 +36,18 @@ class PriorNet(Network):
 
     kind = "prior"
 
-    def __init__(self, category: Category, width: int = 96, generator: torch.Generator | None = None) -> None:
+    def __init__(self, category: Category, generator: torch.Generator | None = None) -> None:
         super().__init__()
         self.category = category
         self.prior = OmadPrior(category, generator=generator)
         parts = len(category.parts)
-        first, second, third = nn.Linear(6 + parts, width), nn.Linear(width, width), nn.Linear(width, width)
+        first, second, third = nn.Linear(6 + parts, WIDTH), nn.Linear(WIDTH, WIDTH), nn.Linear(WIDTH, WIDTH)
         self.encoder = nn.Sequential(first, nn.ReLU(), second, nn.ReLU(), third)
-        self.node_layer = nn.Linear(width + 3, width)
-        self.context_layer = nn.Linear(parts * width, width, bias=False)
-        self.node_head = nn.Linear(width, category.num_keypoints)
+        self.node_layer = nn.Linear(WIDTH + 3, WIDTH)
+        self.context_layer = nn.Linear(parts * WIDTH, WIDTH, bias=False)
+        self.node_head = nn.Linear(WIDTH, category.num_keypoints)
         self.shape_head = nn.Sequential(
-            nn.Linear(parts * (width + 6), 2 * width), nn.ReLU(), nn.Linear(2 * width, self.prior.basis_size)
+            nn.Linear(parts * (WIDTH + 6), 2 * WIDTH), nn.ReLU(), nn.Linear(2 * WIDTH, self.prior.basis_size)
         )
         self.register_buffer("part_of", torch.tensor(category.part_of_keypoint), persistent=False)
 
@@ -64,7 +67,7 @@ class PriorNet(Network):
         local = (points - centre[:, each]) / half[:, each]
         member = nn.functional.one_hot(each, len(clouds)).to(points).expand(len(points), -1, -1)
         features = self.encoder(torch.cat([points, local, member], -1))
-        pooled = torch.stack([own.amax(1) for own in features.split(counts, 1)], 1)  # (B, K, width)
+        pooled = torch.stack([own.amax(1) for own in features.split(counts, 1)], 1)  # (B, K, WIDTH)
         context = self.context_layer(pooled.flatten(1))[:, None]
         hidden = (self.node_layer(torch.cat([features, local], -1)) + context).relu().split(counts, 1)
         nodes = [

@@ -21,6 +21,10 @@ SLIDING_REST_RULES: tuple[RestRule, ...] = ("closed", "zero")
 LARGEST = 1e4
 """Of a length in metres, an angle, a number of units."""
 LONGEST_NAME = 100
+LONGEST_SIDE = 2.0
+"""Of a part, as a share of the object's diagonal; 1 is the most that can be."""
+AUTO = "auto"
+"""Stands for any category, and so is the name of none."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +38,6 @@ class PartSpec:
     mirror: int | None = None
     """Index of the part that is this one's image in the plane x = 0 (itself, another, or None: no mirror)."""
     aliases: tuple[str, ...] = ()
-    """Words in the names of models' links that are this part, besides its name."""
     """Link and semantic names that foreign models use for this part; matched as lower-case substrings."""
     sides: tuple[tuple[float, float], tuple[float, float], tuple[float, float]] | None = None
     """Least and largest extent along x, y and z at rest, as shares of the whole object's diagonal: a foreign model
@@ -44,7 +47,7 @@ class PartSpec:
         _check_name(self.name)
         if self.keypoints < 1:
             raise ValueError(f"keypoints: is {self.keypoints}; give a whole number from 1")
-        if any(not 0 <= least < most for least, most in self.sides or ()):
+        if any(not 0 <= least < most <= LONGEST_SIDE for least, most in self.sides or ()):
             raise ValueError(f"sides: is {self.sides}; give ranges from 0 to 1, the least first")
 
 
@@ -139,6 +142,8 @@ class Category:
 
     def __post_init__(self) -> None:
         _check_name(self.name)
+        if self.name == AUTO:
+            raise ValueError(f"name: {AUTO} stands for any category; choose another")
         check_unit(self.metres_per_unit)
         for field, size, limit in (
             ("parts", len(self.parts), "parts"),

@@ -32,6 +32,17 @@ class SurfaceSamples:
     """(N,) int64 part index."""
 
 
+ODD_SIZE = 30.0
+"""Times that an object's diagonal may be a category unit, or a part of it; one to three times is usual."""
+
+
+def odd_size(diagonal: float, category: Category) -> str | None:
+    """What to say of an object whose ``diagonal`` (metres) cannot be one of the category's: it is in another unit."""
+    if 1 / ODD_SIZE < diagonal / category.metres_per_unit < ODD_SIZE:
+        return None
+    return f"is {diagonal:.3g} m across, where metres_per_unit of {category.name} is {category.metres_per_unit:g}"
+
+
 def diagonal(part_boxes: np.ndarray) -> float:
     """Diagonal in metres of the box around part boxes (K, 2, 3)."""
     return float(np.linalg.norm(part_boxes[:, 1].max(0) - part_boxes[:, 0].min(0)))

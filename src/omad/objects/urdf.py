@@ -25,6 +25,12 @@ def write_urdf(model: ObjectModel, path: Path | str, collisions: Sequence[Sequen
     bodies of each part that simulators take; without, they take its mesh."""
     path = Path(path)
     file = path if path.suffix == ".urdf" else path / "model.urdf"
+    write_text(file, xml_text(urdf_robot(model, file, collisions)))
+    return file
+
+
+def urdf_robot(model: ObjectModel, file: Path, collisions: Sequence[Sequence[Mesh]] | None = None) -> Element:
+    """What ``write_urdf`` writes to ``file``, whose meshes it has written."""
     robot = Element("robot", name=model.name)
     # a joint that only slides has no place of its own: its frame stays at the canonical origin
     places = np.concatenate([np.zeros((1, 3)), model.pivots])
@@ -54,8 +60,7 @@ def write_urdf(model: ObjectModel, path: Path | str, collisions: Sequence[Sequen
             travel = np.sort(motion.slide * limits)
             joint = _add_joint(robot, f"{name}{COUPLED}", slide, ends[1:], np.zeros(3), model.axes[index], travel)
             SubElement(joint, "mimic", joint=name, multiplier=repr(motion.slide), offset="0")
-    write_text(file, xml_text(robot))
-    return file
+    return robot
 
 
 def _write_obj(mesh: Mesh, path: Path) -> None:

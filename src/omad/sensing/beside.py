@@ -33,25 +33,27 @@ class Beside:
     """Metres per stored integer."""
     mask: Path | None = None
     color: Path | None = None
-    told_by: Path | None = None
-    """Whose word the camera or the scale is."""
+    camera_file: Path | None = None
+    """Whose word the camera is ..."""
+    scale_file: Path | None = None
+    """... and the scale."""
 
     @classmethod
     def of(cls, depth: Path) -> "Beside":
         """Raises InputError for a file beside it that tells of a camera and is wrong."""
         stem = depth.stem.removesuffix(OF_DEPTH)
-        camera = scale = told_by = None
+        camera = scale = camera_file = scale_file = None
         for file in _files(depth.parent, stem):
             table = _table(file)
             if camera is None and tells_of_camera(table):
-                camera, told_by = camera_of(table, file), file
+                camera, camera_file = camera_of(table, file), file
             if scale is None and isinstance(table, dict) and KEY in table:
-                scale, told_by = _metres(table[KEY], file), file
+                scale, scale_file = _metres(table[KEY], file), file
             if camera is not None and scale is not None:
                 break
         mask, *colors = (depth.with_name(f"{stem}{end}") for end in (".mask.png", ".color.png", ".color.jpg"))
         color = next((file for file in colors if file.is_file()), None)
-        return cls(camera, scale, mask if mask.is_file() else None, color, told_by)
+        return cls(camera, scale, mask if mask.is_file() else None, color, camera_file, scale_file)
 
 
 def is_companion(file: Path) -> bool:

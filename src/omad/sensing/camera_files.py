@@ -13,6 +13,7 @@ from omad.common.incoming import existing, is_file, parse_json, read_text
 from omad.common.limits import check_limit, limits
 from omad.geometry.camera import Camera
 from omad.geometry.lens import Distortion
+from omad.geometry.rigid import is_rotation
 
 from .depth_files import read_array
 
@@ -133,7 +134,7 @@ def read_transform(source: str | Path, name: str) -> np.ndarray:
         T = np.vstack([matrix.reshape(-1, 4), [0, 0, 0, 1]])[:4]
         if matrix.size not in (12, 16) or not np.isfinite(T).all() or not np.allclose(T[3], [0, 0, 0, 1]):
             raise ValueError("no 4x4 matrix that ends in 0 0 0 1")
-        if not np.allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-3) or np.linalg.det(T[:3, :3]) < 0:
+        if not is_rotation(T[:3, :3]):
             raise ValueError("its 3x3 part is no rotation")
         if np.abs(T).max() > FARTHEST:
             raise ValueError("its places are too far away")

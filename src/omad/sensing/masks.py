@@ -18,13 +18,15 @@ OPAQUE = 128
 """A pixel with at least this alpha, of 255, is the object's."""
 LISTED = 12
 """Ids that an error lists at most."""
+LONGEST = 35
+"""Bits of a run length in COCO's strings; no image has so many pixels."""
 
 
 def as_mask(values: Any, mask_id: int | None = None) -> np.ndarray:
     """(H, W) bool of what stands for a mask:
 
-    - numbers (H, W), (1, H, W) or (H, W, 1), NumPy or torch: what is not zero, or with ``mask_id`` what has that
-      number. Floats between 0 and 1 are probabilities, and one half is enough;
+    - numbers (H, W), (1, H, W), (1, 1, H, W) or (H, W, 1), NumPy or torch: what is not zero, or with ``mask_id`` what
+      has that number. Floats between 0 and 1 are probabilities, and one half is enough;
     - colours (H, W, 3): what is not black. (H, W, 4): where the alpha channel varies it is the mask, else the colours;
     - a COCO segmentation, a mapping with ``size`` (H, W) and ``counts``, compressed or not, or ``polygons``, rows of
       x, y, x, y ... in pixels; or an annotation that has it under ``segmentation``.
@@ -38,11 +40,13 @@ def as_mask(values: Any, mask_id: int | None = None) -> np.ndarray:
         raise InputError("mask: cannot be read as an array; pass (H, W) of booleans or numbers") from error
     if stored.dtype.kind not in "biuf":
         raise InputError(f"mask: dtype {stored.dtype} is no mask; pass (H, W) of booleans or numbers")
+    while stored.ndim > 3 and stored.shape[0] == 1:
+        stored = stored[0]
     if stored.ndim == 3 and stored.shape[-1] in (3, 4) and stored.shape[0] > 1:
         stored = _of_colours(stored) if mask_id is None else _one_channel(stored)
     stored = stored[0] if stored.ndim == 3 and stored.shape[0] == 1 else stored
     stored = stored[..., 0] if stored.ndim == 3 and stored.shape[-1] == 1 else stored
-    if stored.ndim == 3:
+    if stored.ndim > 2:
         raise InputError(f"mask: shape {stored.shape} holds {stored.shape[0]} masks; pass one of them, mask[0] say")
     if stored.ndim != 2:
         raise InputError(f"mask: a mask needs shape (H, W), got {stored.shape}")
@@ -79,9 +83,10 @@ def _labelled(labels: np.ndarray, mask_id: int) -> np.ndarray:
 
 
 def _likely(values: np.ndarray) -> np.ndarray:
-    """Of floats: probabilities, or zero and one other number."""
+    """Of floats: probabilities, or zero and one other number. NaN is nothing."""
+    values = np.where(np.isnan(values), 0, values)
     low, high = values.min(initial=0), values.max(initial=0)
-    if low >= 0 and high <= 1:  # false for NaN, too
+    if low >= 0 and high <= 1:
         return values >= INSIDE
     if low == 0 and ((values == 0) | (values == high)).all():
         return values != 0
@@ -124,6 +129,8 @@ def _decompressed(text: str | bytes) -> list[int]:
         bits = code - 48
         value |= (bits & 31) << shift
         shift += 5
+        if shift > LONGEST:
+            raise InputError('mask: "counts" is no string of COCO run lengths; export it again')
         if bits & 32:
             continue
         if bits & 16:

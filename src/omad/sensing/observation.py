@@ -101,7 +101,9 @@ class Observation:
         camera = camera if distortion is None else replace(camera, distortion=distortion)
         measured = depth > 0
         mask = None if mask is None else as_mask(image_from(mask), mask_id)
-        if mask is not None and mask.any() and not mask.all():
+        if mask is not None and not mask.any():
+            raise NothingSeen("mask: is empty, no pixel of it is the object's; check it")
+        if mask is not None and mask.shape == depth.shape and not mask.all():
             from .thin_parts import with_thin_parts  # imports Numba, which takes long
 
             mask = with_thin_parts(mask, depth)
@@ -178,6 +180,7 @@ class Observation:
             camera=replace(self.camera, cx=width - 1 - self.camera.cx),
             pixels=np.array([width - 1, 0]) + self.pixels * [-1, 1],
             mask=None if self.mask is None else np.ascontiguousarray(self.mask[:, ::-1]),
+            color=None if self.color is None else np.ascontiguousarray(self.color[:, ::-1]),
         )
 
     def warned(self, *warnings: str) -> Self:

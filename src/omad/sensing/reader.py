@@ -30,6 +30,7 @@ from .depth_files import (
     read_mask,
 )
 from .input_options import FrameOptions, InputOptions
+from .masks import as_mask
 from .observation import Observation
 
 KNOWN = sorted({*DEPTH_FORMATS, *CLOUD_FORMATS} - {".txt"})
@@ -64,6 +65,8 @@ class InputReader:
     """The lens in place of the camera's own, as ``parse_distortion`` takes it."""
     find: Find | None = None
     """Cuts the object out of whole frames where nothing else says which it is but a box."""
+    whole: bool = False
+    """Frames are wanted whole: a mask that lies beside one says nothing."""
 
     @classmethod
     def of(cls, options: InputOptions, files: list[Path], frame: FrameOptions = NO_FRAME) -> Self:
@@ -96,17 +99,20 @@ class InputReader:
         return Observation.from_points(read_cloud(file) * (self.depth_scale or 1.0), self.segment, self.drop_flying)
 
     def _depth(self, file: Path) -> Observation:
-        mask, beside = self.mask, Beside.of(file)
-        if isinstance(mask, Path):
-            mask = read_mask(_of_its_name(file, mask, "mask", MASK_FORMATS), self.mask_id)
-        elif mask is None and self.box is None and self.segment is None and beside.mask is not None:
-            mask = read_mask(beside.mask)
+        beside = Beside.of(file)
+        mask = self._mask(file, beside)
         depth = read_depth(file, self._given_or_told(file, beside))
         color = self.color if self.color is not None else beside.color
         if isinstance(color, Path):
             color = read_color(_of_its_name(file, color, "colour image", COLOR_FORMATS) if color.is_dir() else color)
         seen = self.observe(depth, mask, self.camera or beside.camera, color)
         return seen.warned(*self._contradicted(file, beside))
+
+    def _mask(self, file: Path, beside: Beside) -> np.ndarray | None:
+        if isinstance(self.mask, Path):
+            return read_mask(_of_its_name(file, self.mask, "mask", MASK_FORMATS), self.mask_id)
+        told = self.whole or self.mask is not None or self.box is not None or self.segment is not None
+        return self.mask if told or beside.mask is None else read_mask(beside.mask)
 
     def metres_per_number(self, file: Path) -> float | None:
         """Of a depth image or cloud, where that can be told without its numbers."""
@@ -121,12 +127,13 @@ class InputReader:
 
     def _contradicted(self, file: Path, beside: Beside) -> Iterator[str]:
         """Where the options say other than what lies beside the image."""
-        pairs = [("--depth-scale", self.depth_scale, beside.depth_scale)]
+        pairs = [("--depth-scale", self.depth_scale, beside.depth_scale, beside.scale_file)]
         if self.camera is not None and beside.camera is not None:
-            pairs.append(("the focal length of --intrinsics", self.camera.K[0, 0], beside.camera.K[0, 0]))
-        for what, given, told in pairs:
+            focal_lengths = self.camera.K[0, 0], beside.camera.K[0, 0]
+            pairs.append(("the focal length of --intrinsics", *focal_lengths, beside.camera_file))
+        for what, given, told, teller in pairs:
             if given is not None and told is not None and abs(given / told - 1) > APART:
-                yield f"{what} is {given:g}, but {beside.told_by} tells {told:g}: leave it out to use that"
+                yield f"{what} is {given:g}, but {teller} tells {told:g}: leave it out to use that"
 
     def observe(
         self,
@@ -136,7 +143,7 @@ class InputReader:
         color: np.ndarray | None = None,
     ) -> Observation:
         """A depth image (H, W) in metres that was read already, with its mask and colours; ``camera``: its own, in
-        place of that of all. Raises InputError."""
+        place of that of all. A mask that is not of booleans may be a label image. Raises InputError."""
         camera, box = camera or self.camera, self.box
         if camera is None:
             raise InputError(NEED_INTRINSICS)
@@ -146,6 +153,8 @@ class InputReader:
             raise InputError(f"is {width}x{height}, but its --intrinsics are for {told}")
         lens = camera.distortion if self.distortion is None else parse_distortion(self.distortion)
         whole = Camera.from_K(camera.K, width, height, lens)
+        if mask is not None and mask.dtype != bool:
+            mask = as_mask(mask, self.mask_id)
         if self.colour is not None:
             color = None if color is None else self.colour.seen_from_depth(depth, whole, color)
             if mask is not None or box is not None:
@@ -191,7 +200,7 @@ def input_files(paths: Sequence[Path]) -> list[Path]:
     for path in paths:
         inside = files_in(path) if path.is_dir() else [path]
         if not inside and files_in(path, "*/[!.]*"):
-            raise InputError(f"{path}: depth images or clouds lie in its sub-folders; give {path}/*, or one of them")
+            raise InputError(f"{path}: depth images or clouds lie in its sub-folders; give {path}/*/, or one of them")
         if not inside:
             raise InputError(f"{path}: no depth image or cloud in it; known: {' '.join(KNOWN)}")
         files += inside

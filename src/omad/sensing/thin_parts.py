@@ -12,7 +12,7 @@ WIDTH = 14
 STEP = 0.012
 """Between neighbouring pixels of one surface the depth differs by less than this share ..."""
 BEHIND = 0.015
-"""... and what is farther by more than that is behind it."""
+"""... and what is farther than its neighbour by more than that is behind. A table seen aslant is not behind itself."""
 MOST = 4.0
 """What is more than so many times the mask was not lost at its edge, and nothing is added: three pixels less leave a
 fifth of a pair of spectacles."""
@@ -72,11 +72,12 @@ def _is_thin(row, column, depth, width, behind):
 def _steps_to_edge(row, column, depth, down, right, most, behind):
     """How many pixels it is in a direction to what lies behind; one more than ``most`` where it is farther, or where
     the image ends before."""
-    far = depth[row, column] * (1 + behind)
+    z = depth[row, column]
     for steps in range(1, most + 1):
         r, c = row + steps * down, column + steps * right
         if not (0 <= r < len(depth) and 0 <= c < depth.shape[1]):
             break
-        if depth[r, c] == 0 or depth[r, c] > far:
+        if depth[r, c] == 0 or depth[r, c] > z * (1 + behind):
             return steps
+        z = max(z, depth[r, c])
     return most + 1

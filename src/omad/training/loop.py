@@ -205,6 +205,8 @@ def _train(
                 bar.set_postfix_str(" ".join([f"{left / 60:.0f} min left", *_plain(held_back)]))
                 if log:
                     log.write(step, seconds, left, schedule.batch, values, held_back, show=bar.disable)
+            if due or asked or _progress(step, seconds, schedule) >= 1:
+                _check_finite(trained, step)
             if due:
                 save()
                 saved = now
@@ -213,6 +215,12 @@ def _train(
         if asked:
             stop.number = int(asked)
     return averaged
+
+
+def _check_finite(trained: Sequence[nn.Parameter], step: int) -> None:
+    """Before a state is saved: from one with NaN no training could go on."""
+    if not all(p.isfinite().all() for p in trained):
+        raise WorkError(f"the weights are not finite at step {step}; lower the learning rate")
 
 
 class MetricLog:
@@ -254,8 +262,8 @@ class MetricLog:
         if show and (held_back or seconds - self.shown > 30):
             self.shown = seconds
             rate, terms = step * batch / max(seconds, 1e-9), " ".join(_plain({**values, **held_back}))
-            time = f"{seconds:.0f} s, {left / 60:.0f} min left"
-            print(f"step {step}  {time}  {rate:.0f} samples/s  {terms}", file=sys.stderr, flush=True)
+            clock = f"{seconds:.0f} s, {left / 60:.0f} min left"
+            print(f"step {step}  {clock}  {rate:.0f} samples/s  {terms}", file=sys.stderr, flush=True)
 
     def close(self) -> None:
         with suppress(OSError):

@@ -3,13 +3,14 @@
 - ``depth``: the bytes of a PNG, TIFF or NPY file (also as Hugging Face's struct of ``bytes`` and ``path``); or with the
   columns ``height`` and ``width`` the pixels row by row, as numbers or as little-endian bytes of uint16, float32 or
   float64; or a list of rows of numbers. Integers are millimetres, floats metres, if nothing else is said.
-- ``mask``, if there is one: in the same forms, or a byte a pixel; not zero where the object is.
+- ``mask``, if there is one: in the same forms, as ``read_mask`` takes them, or a byte a pixel; of rows without one the
+  mask given for all holds.
 - ``depth_scale``, if it is not the usual one: metres per stored number.
 - ``intrinsics``, if they are not the same for all: fx, fy, cx, cy, or nine numbers row by row.
 - ``id``, if rows have names.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -21,8 +22,8 @@ from omad.common.errors import InputError
 from omad.common.files import one_line
 from omad.data.shards.parquet import import_pyarrow
 from omad.data.shards.store import Store
-from omad.sensing.camera_files import CameraFile, read_camera
-from omad.sensing.depth_files import in_metres, parse_stored
+from omad.sensing.camera_files import CameraFile, parse_camera
+from omad.sensing.depth_files import in_metres, parse_mask, parse_stored
 from omad.sensing.observation import Observation
 from omad.sensing.reader import NEED_INTRINSICS, InputReader
 
@@ -95,13 +96,14 @@ class ParquetImages:
     def _load(self, values: dict[str, Any]) -> Observation:
         sides = [values[name].as_py() for name in ("height", "width") if name in values]
         shape = (int(sides[0]), int(sides[1])) if len(sides) == 2 and None not in sides else None
-        depth = _image(values["depth"], shape, "depth")
+        depth = _image(values["depth"], shape, "depth", partial(parse_stored, key="depth", name="image"))
         if depth is None:
             raise InputError("depth: is null; leave the row out")
-        mask: Any = self.reader.mask
-        if "mask" in values:
-            mask = _image(values["mask"], shape, "mask")
-            mask = np.any(mask, -1) if mask is not None and mask.ndim == 3 else mask
+        parse = partial(parse_mask, name="image", mask_id=self.reader.mask_id)
+        mask = _image(values["mask"], shape, "mask", parse) if "mask" in values else None
+        if mask is None:
+            assert not isinstance(self.reader.mask, Path)  # ``open`` refuses it
+            mask = self.reader.mask
         told = values["intrinsics"].as_py() if "intrinsics" in values else None
         camera = None if told is None else _camera(told)
         scale = self.reader.depth_scale
@@ -117,11 +119,13 @@ def _opened(address: str) -> Any:
 
 def _camera(told: Any) -> CameraFile:
     numbers = told if isinstance(told, str) else ",".join(map(str, np.asarray(told, dtype=float).ravel()))
-    return read_camera(numbers)
+    return parse_camera(numbers, "intrinsics")
 
 
-def _image(value: Any, shape: tuple[int, int] | None, name: str) -> np.ndarray | None:
-    """(H, W) of an Arrow scalar; None for null. Raises InputError."""
+def _image(
+    value: Any, shape: tuple[int, int] | None, name: str, parse: Callable[[bytes], np.ndarray]
+) -> np.ndarray | None:
+    """(H, W) of an Arrow scalar; None for null. ``parse`` reads a file's bytes. Raises InputError."""
     if hasattr(value, "keys"):  # a struct
         value = value["bytes"]
     if not value.is_valid:
@@ -135,7 +139,7 @@ def _image(value: Any, shape: tuple[int, int] | None, name: str) -> np.ndarray |
         else:
             stored = value.as_py()
             if shape is None:
-                return parse_stored(stored, name, "image")
+                return parse(stored)
             array = np.frombuffer(stored, RAW[len(stored) // (shape[0] * shape[1])])
         if shape is None:
             raise ValueError("columns height and width are needed for a flat list")

@@ -71,9 +71,9 @@ class Plan:
     def __call__(self, number: int) -> Done:
         """Make a shard, or find it."""
         start, stop = number * self.size, min(self.total, (number + 1) * self.size)
-        if self.store.has(part_name(number)):
-            return self.found(number)
         try:
+            if self.store.has(part_name(number)):
+                return self.found(number)
             rows = self.work(start, stop)
             if len(rows) != stop - start:
                 what = f"{len(rows)} rows of {stop - start} inputs"

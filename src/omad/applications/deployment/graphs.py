@@ -6,6 +6,8 @@ parts; in double precision, as the fit needs it. ONNX's exporter is an extra (``
 
 import logging
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -80,8 +82,7 @@ class Graph:
         names: Any = self.module.names
         sides = {0: torch.export.Dim("several", min=1, max=MOST)} if self.several else {}
         said = logging.getLogger("torch.onnx")
-        before, said.level = said.level, logging.ERROR
-        with warnings.catch_warnings():
+        with warnings.catch_warnings(), _level(said, logging.ERROR):
             warnings.simplefilter("ignore")
             program = torch.onnx.export(
                 self.module.eval(),
@@ -92,9 +93,17 @@ class Graph:
                 output_names=list(names),
                 verbose=False,
             )
-        said.level = before
         assert program is not None
         write_atomic(path, lambda temporary: program.save(str(temporary), external_data=False))
+
+
+@contextmanager
+def _level(logger: logging.Logger, level: int) -> Iterator[None]:
+    before, logger.level = logger.level, level
+    try:
+        yield
+    finally:
+        logger.level = before
 
 
 def network_graph(net: OmadNet) -> Graph:

@@ -10,12 +10,13 @@ from typing import Any
 from omad.common.errors import InputError, shown
 from omad.common.files import one_line
 from omad.estimation.estimator import Estimator
+from omad.objects.category import AUTO
 from omad.output.page import page_text
 from omad.sensing.observation import Observation
 
 from ..bulk.stream import attempt, estimates_of, why
 from ..solver import Found, Solver
-from .asked import AUTO, Asked
+from .asked import Asked
 from .reply import Reply
 
 PIXELS = 20_000_000

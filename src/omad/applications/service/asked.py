@@ -5,12 +5,12 @@ from dataclasses import dataclass, fields
 from typing import Any, Self, TypeVar
 
 from omad.common.errors import InputError, shown
+from omad.objects.category import AUTO
 from omad.sensing.camera_files import parse_camera
 from omad.sensing.depth_files import MILLIMETRES, parse_depth, parse_mask
 from omad.sensing.observation import Observation
 from omad.sensing.reader import Find, InputReader, parse_numbers
 
-AUTO = "auto"
 CHECKS = ("all", "few")
 SEGMENTS = ("plane",)
 FORMATS = ("json", "html")

@@ -16,7 +16,7 @@ from .tracker import LATEST
 
 DIGITS = 30
 STAMPS = {19: 1e-9, 16: 1e-6, 13: 1e-3, 10: 1.0}
-"""Seconds per unit of a time stamp since 1970 by its number of digits."""
+"""Seconds per unit of a time stamp since 1970 by its number of digits; one that begins with a zero is a count."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,8 @@ class Clock:
     """Tells when a frame was taken: by a table, or by its name, or by counting.
 
     A name that ends in 10, 13, 16 or 19 digits, or in a number with a decimal point, is a time stamp in seconds, ms,
-    us or ns; one that ends in a shorter number is that frame of ``fps`` a second, so that missing frames leave a gap.
+    us or ns; one that ends in a shorter number, or in one that begins with a zero, is that frame of ``fps`` a second,
+    so that missing frames leave a gap.
     """
 
     fps: float
@@ -64,7 +65,7 @@ class Clock:
             raise InputError(f"{shown(path)}: its number is no time; give the times with --times")
         if number[2]:
             return float(number[0])
-        unit = STAMPS.get(len(number[0]))
+        unit = None if number[0].startswith("0") else STAMPS.get(len(number[0]))
         return int(number[0]) / self.fps if unit is None else int(number[0]) * unit
 
 

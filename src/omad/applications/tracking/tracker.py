@@ -22,7 +22,7 @@ from omad.common.arrays import as_doubles
 from omad.common.errors import InputError, shown
 from omad.estimation.estimate import Estimate
 from omad.estimation.estimator import Estimator
-from omad.estimation.known import Known, Near
+from omad.estimation.known import NOTHING_KNOWN, Known, Near
 from omad.estimation.looks.shown import check_observations
 from omad.sensing.observation import Observation
 
@@ -94,7 +94,6 @@ class TrackedEstimate:
 
 
 DEFAULT_CONFIG = TrackerConfig()
-NOTHING_KNOWN = Known()
 
 
 @dataclass

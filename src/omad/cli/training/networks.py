@@ -92,6 +92,8 @@ class _Training:
 
     def learn(self, train: Callable[..., Network], preset: Any, **begun: Any) -> Answer:
         """Train with the ``preset``, but for what the options say otherwise, and save it. Raises InputError."""
+        if self.variants < 0:
+            raise InputError(f"--variants: must be 0 or more, got {self.variants}")
         check_positive(objects=self.objects, variants=self.variants or None)
         schedule = self.schedule.of(preset.schedule)
         processes = self.several.start()

@@ -33,8 +33,10 @@ class Boxes:
 
 def smooth_field(places: Tensor, spacing: Tensor, generator: torch.Generator) -> Tensor:
     """(B, N) of about unit variance and mean zero, at ``places`` (B, N, 2): a lattice of random numbers, ``spacing``
-    (B,) apart, blended between them; it repeats after ``LATTICE`` of them."""
+    (B,) apart, blended between them; it repeats after ``LATTICE`` - 1 of them."""
     lattice = places.new_empty(len(places), 1, LATTICE, LATTICE).normal_(generator=generator)
+    lattice[..., -1, :] = lattice[..., 0, :]
+    lattice[..., -1] = lattice[..., 0]
     at = torch.remainder(places / spacing[:, None, None], LATTICE - 1) * (2 / (LATTICE - 1)) - 1
     # where four numbers are blended, variance is 4/9 on average
     return 1.5 * grid_sample(lattice, at[:, :, None], align_corners=True).flatten(1)

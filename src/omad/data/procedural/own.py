@@ -8,12 +8,18 @@ import numpy as np
 
 from omad.common.errors import InputError
 from omad.common.incoming import existing
+from omad.geometry.rigid import box
 from omad.objects.category import Category
+from omad.objects.model import diagonal, odd_size
 
 from . import Generator
 from .shapes import JointedParts
 
 SUFFIX = ".py"
+SHORTEST = 1e-6
+"""Length of an axis."""
+FARTHEST_TURN = 8 * np.pi
+"""Radians."""
 
 
 def own_generator(path: Path | str) -> Generator:
@@ -50,7 +56,30 @@ def _fitting(path: Path, made: object, category: Category) -> JointedParts:
     ):
         if found not in (None, wanted):
             raise InputError(f"{path}: generate gives {field} of {found}, a {category.name} has {wanted}; repair it")
+    if fault := _fault(made, category):
+        raise InputError(f"{path}: generate gives {fault}")
     return made
+
+
+def _fault(made: JointedParts, category: Category) -> str | None:
+    """What of its numbers cannot be, with the cure."""
+    for spec, part in zip(category.parts, made.parts, strict=True):
+        if not len(part.faces):
+            return f"no face of the part {spec.name}; give it a mesh"
+        if not np.isfinite(part.vertices).all():
+            return f"vertices of the part {spec.name} that are no finite numbers; repair them"
+    for field, values in (("pivots", made.pivots), ("axes", made.axes), ("limits", made.limits)):
+        if values is not None and not np.isfinite(values).all():
+            return f"{field} that are no finite numbers; repair them"
+    if made.axes is not None and not (np.linalg.norm(made.axes, axis=1) > SHORTEST).all():
+        return "an axis without a direction; give a unit vector"
+    if made.limits is not None:
+        if not (made.limits[:, 0] < made.limits[:, 1]).all():
+            return "limits that are the wrong way round; give the least first"
+        if (np.abs(made.limits[list(category.turning)]) > FARTHEST_TURN).any():
+            return "limits of many turns; give radians"
+    odd = odd_size(diagonal(np.stack([box(part.vertices) for part in made.parts])), category)
+    return odd and f"an object that {odd}; give metres"
 
 
 def _blamed(path: Path, error: Exception) -> InputError:

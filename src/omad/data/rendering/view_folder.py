@@ -34,6 +34,7 @@ from omad.common.incoming import decoded, is_file, read_image, read_json, read_r
 from omad.common.limits import limits
 from omad.common.workers import helpers
 from omad.geometry.camera import STANDARD_CAMERA, Camera
+from omad.geometry.rigid import is_rotation
 from omad.objects.category import Category
 from omad.objects.model import ObjectModel
 from omad.sensing.depth_files import read_depth
@@ -45,6 +46,8 @@ from .standard_views import ObjectTruth, View, ViewSeed, standard_view, view_see
 FORMAT = "omad-views-1"
 REACH = 11.0
 """No standard view of an object is farther than this, in category units."""
+UNIT = 1e-3
+"""By which the length of an axis may differ from one."""
 
 
 CURE = "give a folder made by omad render"
@@ -82,6 +85,13 @@ class _ObjectRecord:
     limits: Annotated[np.ndarray, Shape(None, 2)]
     part_boxes: Annotated[np.ndarray, Shape(None, 2, 3)]
 
+    def __post_init__(self) -> None:
+        if not (np.abs(np.linalg.norm(self.axes, axis=-1) - 1) < UNIT).all():
+            raise ValueError("axes: are no unit vectors; give directions of length one")
+        for field, ranges in (("limits", self.limits), ("part_boxes", self.part_boxes)):
+            if not (ranges[:, 0] <= ranges[:, 1]).all():
+                raise ValueError(f"{field}: are the wrong way round; give the least first")
+
 
 @dataclass(frozen=True)
 class ViewRecord:
@@ -95,7 +105,7 @@ class ViewRecord:
     def __post_init__(self) -> None:
         if self.camera is not None:
             _check_camera(self.camera)
-        if not np.allclose(self.T_camera_base[:3, :3] @ self.T_camera_base[:3, :3].T, np.eye(3), atol=1e-3):
+        if not is_rotation(self.T_camera_base[:3, :3]):
             raise ValueError("T_camera_base: its 3x3 part is no rotation; give that of the base before the camera")
 
 

@@ -70,6 +70,8 @@ class RawArticulation:
     links: tuple[RawLink, ...]
     joints: tuple[RawJoint, ...]
     """In the order of their children: the child of ``joints[i]`` is ``links[i + 1]``."""
+    skipped: tuple[str, ...] = ()
+    """Meshes that the file names and that are missing."""
 
     def rerooted(self, root: int) -> Self:
         """The same articulation hung up at link ``root``: joints on the way to the old root are turned round."""
@@ -140,7 +142,8 @@ def _articulation(path: Path, metres_per_unit: float, files: MeshFiles) -> RawAr
     for joint in moving:
         ends, slide = (body_of[joint.parent], body_of[joint.child]), slides.get(joint.name, 0.0)
         raw.append(_raw_joint(path, joint, slide, ends, T_model[joint.child], metres_per_unit))
-    return _without_empty_ends(path, RawArticulation(robot.name or path.stem, tuple(bodies), tuple(raw)))
+    found = RawArticulation(robot.name or path.stem, tuple(bodies), tuple(raw), tuple(files.skipped))
+    return _without_empty_ends(path, found)
 
 
 def read_urdf(path: Path | str, category: Category) -> ObjectModel:
@@ -187,6 +190,8 @@ def _parse(path: Path) -> Any:
         root = ElementTree.fromstring(content)
     except ElementTree.ParseError as error:
         raise InputError(f"{shown(path)}: broken XML ({error}); {REPAIR}") from error
+    if b"xmlns:xacro" in content:
+        raise InputError(f"{shown(path)}: is a xacro file; run xacro on it, and give the URDF that it writes")
     if root.tag != "robot":
         raise InputError(f"{shown(path)}: not a URDF: its root element is not <robot>")
     for kind in ("link", "joint"):
@@ -261,7 +266,9 @@ def _raw_joint(path: Path, joint: Any, slide: float, ends: tuple[int, int], T: n
     if slide:
         motion = Motion(motion.turn, slide).scaled(unit)
     if not 0 < length < np.inf or abs(slide) > FARTHEST:
-        raise InputError(f"{path}: joint {joint.name!r} has no proper origin and axis; give finite numbers")
+        raise InputError(
+            f"{path}: joint {joint.name!r} has no proper origin and axis; give numbers, and an axis of some length"
+        )
     limits = None
     if joint.type != "continuous" and joint.limit is not None and None not in (joint.limit.lower, joint.limit.upper):
         low, high = sorted(limit * motion.state_unit(unit) for limit in (joint.limit.lower, joint.limit.upper))

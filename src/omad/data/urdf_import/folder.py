@@ -9,7 +9,7 @@ import numpy as np
 from omad.common.errors import InputError
 from omad.common.incoming import as_path, readable
 from omad.objects.category import Category
-from omad.objects.model import ObjectModel
+from omad.objects.model import ObjectModel, odd_size
 
 from . import partnet
 from .alignment import align
@@ -114,6 +114,10 @@ def _imported(
     except InputError as error:
         raise InputError(f"{file}: not usable as {category.name}: {error}") from error
     notes += ["is the other way round than the spec says: taken as its mirror image"] if aligned.mirrored else []
+    if odd := odd_size(aligned.model.diagonal, category):
+        notes.append(f"{odd}: look at --scale, the metres per unit of its file")
+    if stated.skipped:
+        notes.append(f"is taken without {len(stated.skipped)} of its mesh files, which are missing")
     return ImportedModel(replace(aligned.model, name=object_name(path)), notes, _up(aligned.R_canonical_source))
 
 
@@ -144,7 +148,7 @@ def _urdf_of(folder: Path) -> Path:
     files = sorted(folder.glob("*.urdf"))
     if len(files) != 1:
         found = f"{len(files)} .urdf files" if files else "no .urdf file"
-        raise InputError(f"{folder}: {found}, expected one; give the file itself")
+        raise InputError(f"{folder}: {found}, expected one; give the file itself, or the folder of such folders")
     return files[0]
 
 

@@ -3,7 +3,7 @@
 import io
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, TextIO
 
@@ -32,6 +32,8 @@ class MeshFiles:
     missing: MissingMeshes = "refuse"
     folder: Path | None = None
     """With all that is in it, besides the URDF's own folder, or its ROS package."""
+    skipped: list[str] = field(default_factory=list)
+    """Names of those that were missing, where ``missing`` says to skip them."""
 
     def find(self, filename: str) -> Path | None:
         """The file in one of these folders, with or without its package's name; None where it is in none."""
@@ -81,6 +83,7 @@ def _shape(link: str, geometry: Any, files: MeshFiles) -> Mesh | None:
     file = files.find(geometry.mesh.filename or "")
     if file is None:
         if files.missing == "skip":
+            files.skipped.append(geometry.mesh.filename)
             return None
         cure = "restore it, name the folder that it is in (--mesh-folder), or use what is there (--missing-meshes skip)"
         raise InputError(f"{files.urdf}: mesh {geometry.mesh.filename!r} of link {link!r} is missing; {cure}")

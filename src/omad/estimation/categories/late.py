@@ -13,8 +13,8 @@ from omad.objects.category import Category
 from omad.sensing.observation import Observation
 
 from ..estimate import Estimate
-from ..estimator import NOTHING_KNOWN, Estimator
-from ..known import Known
+from ..estimator import Estimator
+from ..known import NOTHING_KNOWN, Known
 
 
 @dataclass(frozen=True)

@@ -56,7 +56,7 @@ class SiameseNet(Network):
         return cls(category, backbone_from_dict(sizes["backbone"]), sizes["size"])
 
     def forward(self, points: Tensor) -> Tensor:
-        """points (B, N, 3) in the input frame (``omad.omadnet``), category units, in random order -> (B, size)."""
+        """points (B, N, 3) in the input frame (``omad.model.omadnet``), category units, in any order -> (B, size)."""
         return self.head(self.backbone(points).pooled)
 
 

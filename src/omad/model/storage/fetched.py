@@ -69,27 +69,36 @@ def fetch(address: str) -> Path:
     if not pinned and address.split(":", 1)[0] in UNTRUSTED:
         cure = f"use https, or add {PINNED}... of its {MANIFEST}"
         raise InputError(f"{address}: anyone in between may change what http brings; {cure}")
-    folder = user_cache("weights", hashlib.sha256(f"{address}{pinned}".encode()).hexdigest()[:16])
-    kept = folder / MANIFEST
+    kept = user_cache("weights", _short_sum(f"{address}{pinned}".encode())) / MANIFEST
     if kept.is_file() and pinned:
-        return folder
+        return _folder_of(kept)
     try:
         stored = _read(f"{address}/{MANIFEST}", limits().text_bytes)
     except InputError:
         if kept.is_file():
-            return folder
+            return _folder_of(kept)
         raise
     if pinned and hashlib.sha256(stored).hexdigest() != pinned.lower():
         raise InputError(
             f"{address}/{MANIFEST}: is not the one with {PINNED[1:]}{pinned}; ask who gave you the address"
         )
     if kept.is_file() and kept.read_bytes() == stored:
-        return folder
+        return _folder_of(kept)
     manifest = _manifest(stored, f"{address}/{MANIFEST}")
     for name, file in manifest.files.items():
-        _fetch_file(f"{address}/{name}", file, folder / name)
-    write_atomic(kept, lambda path: path.write_bytes(stored))  # the last: where it is, all is there
-    return folder
+        _fetch_file(f"{address}/{name}", file, kept.parent / _short_sum(stored) / name)
+    write_atomic(kept, lambda path: path.write_bytes(stored))  # the last: where it is, all that it names is there
+    return _folder_of(kept)
+
+
+def _folder_of(kept: Path) -> Path:
+    """That of the files which a kept manifest names. Another manifest's have one of their own, so that an update which
+    is cut short leaves them whole."""
+    return kept.parent / _short_sum(kept.read_bytes())
+
+
+def _short_sum(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()[:16]
 
 
 def write_manifest(folder: Path) -> None:

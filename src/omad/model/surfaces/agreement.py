@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -54,7 +55,7 @@ class Overlay:
         size = float(np.linalg.norm(np.ptp(np.percentile(observation.points, [2, 98], axis=0), axis=0)))
         return cls(camera, *_seen(observation, camera), rendered, MARGIN * size)
 
-    @property
+    @cached_property
     def differences(self) -> dict[str, np.ndarray]:
         """(H, W) bool of each share of an ``Agreement``. What is hidden behind other things, and what lies where
         nothing was measured, is in none."""

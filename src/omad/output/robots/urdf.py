@@ -1,13 +1,13 @@
 """URDF for simulators: rooted in the camera's or the world's frame, with masses, and the estimated state beside it."""
 
 from pathlib import Path
-from xml.etree.ElementTree import Element, SubElement, parse
+from xml.etree.ElementTree import Element, SubElement
 
 from scipy.spatial.transform import Rotation
 
 from omad.common.files import write_json, write_text
 from omad.estimation.estimate import Estimate
-from omad.objects.urdf import urdf_numbers, write_urdf, xml_text
+from omad.objects.urdf import urdf_numbers, urdf_robot, xml_text
 from omad.sensing.observation import Observation
 
 from ..frame import CAMERA, Frame
@@ -23,8 +23,7 @@ def save_robot(
     path = Path(path)
     robot = Robot.of(estimate, path.stem, observation, frame)
     model = robot.model
-    write_urdf(model, path, robot.bodies)
-    root = parse(path).getroot()
+    root = urdf_robot(model, path, robot.bodies)
     solids = dict(zip(model.part_names, robot.solids, strict=True))
     for link in root.findall("link"):
         link.insert(0, _inertial(solids.get(link.get("name", "")) or Solid.of(None)))

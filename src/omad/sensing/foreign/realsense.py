@@ -12,8 +12,6 @@ from omad.common.errors import InputError, WorkError
 from .bags import RecordedFrame
 from .images import depth_from
 
-MILLISECONDS = 1e-3
-
 
 def open_camera() -> Iterator[RecordedFrame]:
     """Depth frames of the first camera as they come, the newest first where they come faster than they are asked for;

@@ -57,7 +57,7 @@ class AncshNet(Network):
         return cls(category, backbone_from_dict(sizes["backbone"]))
 
     def forward(self, points: Tensor) -> AncshPrediction:
-        """points (B, N, 3) in the input frame (``omad.omadnet``), category units, in random order."""
+        """points (B, N, 3) in the input frame (``omad.model.omadnet``), category units, in random order."""
         features = self.backbone(points)
         dense = self.propagate(features.dense, points / 0.2, partial(interpolate, points, features.centres))
         naocs = self.naocs_head(dense).unflatten(-1, (-1, 4))

@@ -1,0 +1,36 @@
+"""Rendered views whose truth or images cannot be are said to be so."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from helpers.command_line import LAPTOP, answer, refused
+from omad.cli.main import run
+
+
+@pytest.fixture(autouse=True)
+def in_a_folder_of_its_own(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [("axes", [[0, 0, 0]]), ("axes", [[1e-300, 0, 0]]), ("limits", [[1, 0]]), ("part_boxes", [[[1] * 3, [0] * 3]] * 2)],
+)
+def test_truth_that_cannot_be_is_refused(field, value, capsys):
+    made = answer(capsys, "render", *LAPTOP, "--objects", "1", "--views", "1", "--output", "views")
+    assert made
+    [file] = Path("views").glob("*/object.json")
+    file.write_text(json.dumps({**json.loads(file.read_text()), field: value}))
+    line = refused(capsys, "eval", "pose", *LAPTOP, "--source", "views")
+    assert "object.json" in line
+    assert field in line, line
+
+
+def test_views_that_show_nothing_are_said_to(capsys):
+    answer(capsys, "render", *LAPTOP, "--objects", "1", "--views", "1", "--output", "views")
+    file = Path("views/dataset.json")
+    file.write_text(json.dumps({**json.loads(file.read_text()), "depth_scale": 1.0}))
+    assert run(["eval", "pose", *LAPTOP, "--source", "views"]) == 1
+    assert "1 of 1 views: depth: " in capsys.readouterr().err
