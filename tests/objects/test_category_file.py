@@ -211,6 +211,7 @@ SLIPS = {
     "limits turned": ("[0, 90]", "[90, 0]", "parts[1].joint.limits"),
     "limits alone": ("[0, 90]", "[90]", "parts[1].joint.limits"),
     "limits not finite": ("[0, 90]", "[0, inf]", "parts[1].joint.limits"),
+    "limits in radians": ("[0, 90]", "[0, 1.57]", "parts[1].joint.limits"),
     "a rest of its own": ("limits", 'rest = "ajar"\nlimits', "parts[1].joint.rest"),
     "a rest of another type": (
         'type = "revolute"', 'type = "prismatic"\nrest = "perpendicular"', "parts[1].joint.rest",

@@ -6,6 +6,7 @@ from scipy import ndimage
 
 from helpers.categories import CATEGORIES
 from omad.data.procedural import generate
+from omad.data.rendering.sensor_noise import SENSORS, sense
 from omad.data.rendering.spoils.masks import grown
 from omad.data.rendering.standard_views import standard_view
 from omad.sensing.observation import Observation
@@ -74,6 +75,18 @@ def test_a_mask_does_not_run_along_the_rim_of_a_table_seen_aslant():
     mask = np.zeros_like(depth, bool)
     mask[60:84, 40:60] = True
     np.testing.assert_array_equal(with_thin_parts(mask, depth), mask)
+
+
+@pytest.mark.parametrize("sensor", SENSORS)
+def test_a_right_mask_does_not_grow_into_a_wall_whose_depth_is_noise(sensor):
+    wall = np.broadcast_to(np.linspace(4.5, 5.5, 320, dtype=np.float32), (240, 320))
+    depth = wall.copy()
+    depth[60:180, 20:140] = 4.3
+    depth[60:180, 140:200] = np.linspace(4.3, wall[0, 200], 60)  # a side that goes back to the wall
+    seen = sense(depth, SENSORS[sensor], np.ones_like(depth), np.random.default_rng(3))
+    mask = (depth < wall - 1e-6).ravel()[seen.source] & (seen.depth > 0)
+    again = with_thin_parts(mask, seen.depth)
+    assert (again & ~mask).sum() < 0.01 * mask.sum()
 
 
 def test_what_goes_on_too_far_is_something_else():

@@ -88,11 +88,7 @@ def _visible(estimate: Estimate, points: np.ndarray) -> np.ndarray:
     around = around[around[:, 2] > 0]
     if not found or not len(around):
         return np.zeros((0, 3))
-    rays = around[:, :2] / around[:, 2:]
-    low, high = rays.min(0), rays.max(0)
-    f = PIXELS / max(float((high - low).max()), 1e-6)
-    width, height = (np.ceil((high - low) * f).astype(int) + 1).tolist()
-    camera = Camera(width, height, f, f, float(-low[0] * f), float(-low[1] * f))
+    camera = Camera.around(around[:, :2] / around[:, 2:], PIXELS)
     depth = render(estimate.hull_model(), estimate.joint_states, estimate.T_camera_base, camera).depth
     rows, columns = np.nonzero(depth)
     return camera.backproject(np.stack([columns, rows], 1), depth[rows, columns].astype(np.float64))

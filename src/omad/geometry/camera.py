@@ -40,6 +40,15 @@ class Camera:
         """Of an intrinsic matrix (3, 3)."""
         return cls(width, height, float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2]), distortion)
 
+    @classmethod
+    def around(cls, rays: np.ndarray, across: int, finest: float = np.inf) -> Self:
+        """A pinhole that sees all ``rays`` (N, 2), x / z and y / z: ``across`` pixels along the longer side of its
+        image, or less, where its focal length would be more than ``finest`` pixels."""
+        low, high = rays.min(0), rays.max(0)
+        f = float(min(across / max(float((high - low).max()), 1e-6), finest))
+        width, height = (np.ceil((high - low) * f).astype(int) + 1).tolist()
+        return cls(width, height, f, f, float(-low[0] * f), float(-low[1] * f))
+
     @property
     def pinhole(self) -> Self:
         """The camera without its lens."""

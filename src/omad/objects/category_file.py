@@ -170,8 +170,16 @@ def _joint(table: _Joint, index: int, names: list[str], metres_per_unit: float) 
     length = math.hypot(*found["axis"]) or 1.0
     found["axis"] = tuple(x / length for x in found["axis"])
     spec = JointSpec(**vars(table) | found | {"name": name, "parent": names.index(parent)})
+    if spec.motion.turns and max(map(abs, spec.limits)) <= 2 * math.pi:
+        raise ValueError(
+            f"limits: are degrees, and {spec.limits} hardly a movement; of radians, give {_in_degrees(spec)}"
+        )
     unit = math.radians(1) if spec.motion.turns else 1 / metres_per_unit
     return replace(spec, limits=tuple(end * unit for end in table.limits))
+
+
+def _in_degrees(spec: JointSpec) -> str:
+    return "[{:.0f}, {:.0f}]".format(*map(math.degrees, spec.limits))
 
 
 def _vector(field: str, value: Any) -> Any:

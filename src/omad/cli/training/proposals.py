@@ -53,10 +53,10 @@ class TrainProposals:
         names = generable(self.categories)
         preset = ProposalTraining()
         schedule = self.schedule.of(preset.schedule)
-        categories = [omad.get_category(name) for name in names]
-        models = [load_models("procedural", one, self.objects, "train", 0).models for one in categories]
         settings = replace(preset, schedule=schedule, strangers=self.strangers)
         device, begun = pick_device(self.device), self._begun(settings.backbone)
+        categories = [omad.get_category(name) for name in names]
+        models = [load_models("procedural", one, self.objects, "train", 0).models for one in categories]
         net = train_proposals(models, categories, self.output, settings, device, **begun)
         made_of = {name: getattr(self, name) for name in ("objects", "strangers", "features", "initial")}
         save(net, self.output, made_of | {"schedule": asdict(schedule), "version": omad.__version__})

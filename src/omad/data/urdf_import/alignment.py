@@ -140,18 +140,24 @@ def _frames(model: ObjectModel, category: Category) -> Iterator[np.ndarray]:
 
 def _agreement(model: ObjectModel, category: Category) -> np.ndarray:
     """Cosines between where children are and where the spec says they are; nearer to 1 where they are close by."""
-    centres = model.part_boxes().mean(1)
-    diagonal, found = model.diagonal, [1.0]
+    return np.array([1.0, *_relations(model, category).values()])
+
+
+def _relations(model: ObjectModel, category: Category) -> dict[tuple[str, str], float]:
+    """The same of each part and field of its joint's spec."""
+    centres, diagonal, found = model.part_boxes().mean(1), model.diagonal, {}
     for joint, spec in enumerate(category.joints):
         axis = model.axes[joint]
         reach = centres[joint + 1] - model.pivots[joint]
         beside = reach - axis * (reach @ axis)  # a pivot may be anywhere on its axis
-        for offset, expected in ((beside, spec.reach), (centres[joint + 1] - centres[spec.parent], spec.side)):
+        aside = centres[joint + 1] - centres[spec.parent]
+        for field, offset, expected in (("reach", beside, spec.reach), ("side", aside, spec.side)):
             if expected is not None:
                 length = float(np.linalg.norm(offset))
                 cosine = offset @ np.array(expected) / max(length * np.linalg.norm(expected), 1e-12)
-                found.append(1 - min(1.0, length / (SHORT * diagonal)) * (1 - cosine))
-    return np.array(found)
+                agreed = 1 - min(1.0, length / (SHORT * diagonal)) * (1 - cosine)
+                found[category.parts[joint + 1].name, field] = agreed
+    return found
 
 
 def _travel(model: ObjectModel, category: Category) -> np.ndarray:
@@ -162,8 +168,10 @@ def _travel(model: ObjectModel, category: Category) -> np.ndarray:
 
 
 def _check(model: ObjectModel, category: Category) -> None:
-    if _agreement(model, category).min() < LEAST_AGREEMENT:
-        raise InputError(f"its parts do not lie to each other as those of a {category.name} do")
+    for (part, field), agreed in _relations(model, category).items():
+        if agreed < LEAST_AGREEMENT:
+            told = f"its {part} lies elsewhere than the spec's {field} says"
+            raise InputError(f"its parts do not lie to each other as those of a {category.name} do: {told}")
     sizes = np.ptp(model.part_boxes(), axis=1) / model.diagonal
     for part, size in zip(category.parts, sizes, strict=True):
         for letter, share, (least, most) in zip("xyz", size, part.sides or (), strict=False):

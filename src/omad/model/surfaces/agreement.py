@@ -80,14 +80,10 @@ def _camera_around(parts: Sequence[Mesh], observation: Observation) -> Camera:
     points = np.concatenate([observation.points, *(part.vertices for part in parts)])
     points = points[points[:, 2] > 0]
     rays = points[:, :2] / points[:, 2:]
-    low, high = rays.min(0), rays.max(0)
-    f = ACROSS / max(float((high - low).max()), 1e-6)
     if observation.camera is not None:
-        f = min(f, observation.camera.fx)
-    else:
-        f = min(f, 0.5 * np.sqrt(len(observation.points) / max(float(np.prod(high - low)), 1e-12)))
-    width, height = (np.ceil((high - low) * f).astype(int) + 1).tolist()
-    return Camera(width, height, f, f, float(-low[0] * f), float(-low[1] * f))
+        return Camera.around(rays, ACROSS, observation.camera.fx)
+    area = max(float(np.prod(np.ptp(rays, axis=0))), 1e-12)
+    return Camera.around(rays, ACROSS, 0.5 * np.sqrt(len(observation.points) / area))
 
 
 def _seen(observation: Observation, camera: Camera) -> tuple[np.ndarray, np.ndarray]:

@@ -78,12 +78,8 @@ class VisibleSurface:
 def _picture(meshes: list[Mesh], around: Floats, pixels: int) -> tuple[Rendering, Camera]:
     """What is seen of meshes, with a camera that sees all of them and the points ``around`` (N, 3)."""
     mesh = merge_meshes(meshes)
-    rays = np.concatenate([mesh.vertices, around])
-    rays = rays[rays[:, 2] > 0]
-    rays = rays[:, :2] / rays[:, 2:]
-    low, high = rays.min(0), rays.max(0)
-    f = pixels / max(float((high - low).max()), 1e-6)
-    width, height = (np.ceil((high - low) * f).astype(int) + 1).tolist()
-    camera = Camera(width, height, f, f, float(-low[0] * f), float(-low[1] * f))
+    points = np.concatenate([mesh.vertices, around])
+    points = points[points[:, 2] > 0]
+    camera = Camera.around(points[:, :2] / points[:, 2:], pixels)
     labels = np.repeat(np.arange(len(meshes), dtype=np.uint8), [len(each.faces) for each in meshes])
     return rasterise(mesh.vertices, mesh.faces, labels, camera), camera
