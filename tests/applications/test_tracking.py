@@ -10,14 +10,18 @@ from PIL import Image
 from sequences import SequenceConfig, SequenceFrame, render_sequence
 
 import omad
+from omad.applications.tracking import page
 from omad.applications.tracking.motion import MotionConfig, MotionFilter, Placement
+from omad.applications.tracking.sequence import TrackedSequence
 from omad.applications.tracking.shape_belief import ShapeBelief, ShapeConfig
+from omad.applications.tracking.tracker import TrackedEstimate
 from omad.cli.main import run
 from omad.cli.track import track_text
 from omad.common.errors import InputError
 from omad.data.procedural import generate
 from omad.objects.category_file import get_category
 
+finish = TrackedSequence.finish
 GIVEN = ["--category", "laptop", "--intrinsics", "600,600,319.5,239.5", "--json"]
 
 
@@ -93,6 +97,18 @@ def test_lost_and_found(folder, capsys):
     assert [lines[i]["status"] for i in (3, 4)] == ["tracking", "coasting"]
     assert lines[9]["status"] == "tracking"
     assert {"states.csv", "states.png", "summary.json"} <= {path.name for path in Path("omad-track").iterdir()}
+
+
+@pytest.mark.slow
+def test_of_a_long_track_some_frames_are_shown_and_no_points_are_kept(folder, capsys, monkeypatch):
+    monkeypatch.setattr(page, "MOST_SHOWN", 3)
+    kept: list[TrackedEstimate] = []
+    monkeypatch.setattr(TrackedSequence, "finish", lambda self, truth: kept.extend(self.tracked) or finish(self, truth))
+    assert run(["track", str(folder), "--fps", "5", *GIVEN]) == 0
+    text = Path("omad-track/track.html").read_text()
+    assert 1 <= text.count('"picture":') <= 3
+    assert 1 <= text.count('"cloud":') <= 3
+    assert [len(one.estimate.part_labels) for one in kept if one.estimate] == [0] * 10
 
 
 def test_stream_with_bad_frames_and_times(folder, capsys, monkeypatch):

@@ -22,8 +22,8 @@ from .tracker import TrackedEstimate
 
 WIDTH = 480
 """Pixels of a frame's picture at most."""
-MOST_PICTURES = 600
-"""Of a page: of longer tracks every second frame has a picture, or third ..."""
+MOST_SHOWN = 600
+"""Frames of a page with picture and cloud at most: of longer tracks every second has them, or fourth ..."""
 MAX_POINTS = 500
 """Of a frame's cloud that are drawn."""
 DATA = "__DATA__"
@@ -47,20 +47,26 @@ class TrackPage:
             inverse = np.linalg.inv(estimate.T_camera_base)
             frame["parts"] = np.round(inverse @ estimate.T_camera_part, 5)[:, :3]
             frame["states"] = [[joint.state, joint.state_std] for joint in estimate.joints]
-            if observation is not None:
-                step = -(-len(observation.points) // MAX_POINTS)
-                frame["cloud"] = np.round(carry(inverse, observation.points[::step]), 4)
-        if observation is not None and observation.camera is not None and len(self._frames) % self._every == 0:
-            frame |= self._seen(observation, observation.camera, estimate)
+        if observation is not None and len(self._frames) % self._every == 0:
+            frame |= self._seen(observation, estimate)
         self._frames.append(plain(frame))
-        if sum("picture" in each for each in self._frames) > MOST_PICTURES:
+        if len(self._frames) > MOST_SHOWN * self._every:
             self._every *= 2
             for index, each in enumerate(self._frames):
                 if index % self._every:
-                    each.pop("picture", None)
+                    for name in ("picture", "cloud"):
+                        each.pop(name, None)
 
-    def _seen(self, observation: Observation, camera: Camera, estimate: Estimate | None) -> dict[str, Any]:
-        """Of a frame with an image: its picture, and where in it keypoints and joint axes are."""
+    def _seen(self, observation: Observation, estimate: Estimate | None) -> dict[str, Any]:
+        """The cloud; of a frame with an image its picture, too, and where in it keypoints and joint axes are."""
+        shown = {} if observation.camera is None else self._picture(observation, observation.camera, estimate)
+        if estimate is not None:
+            step = -(-len(observation.points) // MAX_POINTS)
+            cloud = carry(np.linalg.inv(estimate.T_camera_base), observation.points[::step])
+            shown["cloud"] = np.round(cloud, 4)
+        return shown
+
+    def _picture(self, observation: Observation, camera: Camera, estimate: Estimate | None) -> dict[str, Any]:
         factor = min(1.0, WIDTH / camera.width)
         size = round(factor * camera.width), round(factor * camera.height)
         picture = jpeg_uri(Image.fromarray(frame_image(observation)).resize(size))

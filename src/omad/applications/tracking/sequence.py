@@ -79,7 +79,7 @@ class TrackedSequence:
                 continue
             self.seconds.append(time.perf_counter() - began)
             self.files.append(frame)
-            self.tracked.append(tracked)
+            self.tracked.append(tracked.without_labels())
             record = {"frame": frame.path.name, **tracked.to_dict()}
             if T_world_camera is not None and tracked.estimate is not None:
                 record["world"] = in_world(tracked.estimate, T_world_camera)

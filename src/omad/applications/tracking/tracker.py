@@ -11,7 +11,7 @@ cold starts until two consecutive ones agree; at first one that is surely right 
 """
 
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any, Literal, Self
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -83,6 +83,11 @@ class TrackedEstimate:
     """Squared Mahalanobis distance of this frame from its prediction."""
     restarted: bool = False
     """A new track begins here: the object was found, or a cold start was better."""
+
+    def without_labels(self) -> Self:
+        """The same without part labels, as ``Estimate.without_labels`` has it."""
+        estimates = {name: getattr(self, name) for name in ("estimate", "single")}
+        return replace(self, **{name: one and one.without_labels() for name, one in estimates.items()})
 
     def to_dict(self) -> dict[str, Any]:
         """Plain Python values: the ``estimate`` of ``Estimate.to_dict`` (null while lost) and each frame's own."""

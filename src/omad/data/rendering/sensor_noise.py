@@ -49,12 +49,12 @@ class Sensor:
     holes: float = 0.0
     """Share of the measured pixels lost in blobs."""
     working: tuple[float, float] = (0.2, 10.0)
-    """Metres between which its makers say that it works; farther or nearer it is not cut off here."""
+    """Metres between which its makers recommend it; farther or nearer it is not cut off here."""
 
 
 ACTIVE_STEREO = Sensor(
     0.0033, 0.63, 2.0, waves=0.91, length=15.0, grain=0.8, ragged=1.2, flying=0.3, edge_drop=0.3, holes=0.01,
-    working=(0.25, 6.0),
+    working=(0.3, 3.0),
 )  # fmt: skip
 """RealSense D435 and its like. Depth from disparity, whose error grows with the square of the distance (Keselman et
 al., Intel RealSense Stereoscopic Depth Cameras, CVPR workshops 2017); block matching widens and ragges outlines.
@@ -68,7 +68,7 @@ Light Depth Camera, PAMI 2020). Measured: 8.5 mm at 0.64 m and 9.6 mm at 0.80 m,
 pixels, which is slower growth than the square that triangulation has."""
 SPECKLE = Sensor(
     0.0035, 1.2, 2.0, waves=0.27, length=14.0, grain=0.6, step=0.0029, ragged=1.0, edge_drop=0.5, holes=0.01,
-    working=(0.4, 6.0),
+    working=(0.4, 4.0),
 )  # fmt: skip
 """Kinect v1, Xtion, Structure. A fixed pattern of speckles, disparity in eighths of a pixel: errors and steps grow with
 the square of the distance (Khoshelham and Elberink, Accuracy and Resolution of Kinect Depth Data, Sensors 2012; Nguyen
