@@ -1,24 +1,48 @@
 """Random staplers: a base, a lid hinged at its back, and a magazine that swings out of the lid."""
 
+from collections.abc import Callable
+
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from omad.geometry.mesh import Mesh, merge_meshes
 from omad.objects.category import Category
 
-from ..shapes import JointedParts, X, box, cylinder, ellipse, points, rounded_rectangle, spline, sweep, taper
+from ..shapes import (
+    JointedParts,
+    X,
+    box,
+    cylinder,
+    ellipse,
+    hexahedron,
+    points,
+    rounded_rectangle,
+    spline,
+    sweep,
+    taper,
+)
 
 
 def generate(rng: np.random.Generator, category: Category, unusual: np.random.Generator | None) -> JointedParts:
-    """One stapler with lid and magazine parallel to its base, which stands on y = 0; the front is at +z."""
+    """One stapler, shut, whose base stands on y = 0; the front is at +z. Lid and magazine are parallel to the base, or
+    come down to it at the front, the magazine by more."""
     length, width = rng.uniform(0.1, 0.19), rng.uniform(0.02, 0.042)
-    plate, gap = rng.uniform(0.003, 0.014), rng.uniform(0.002, 0.012)
-    tall, cover = rng.uniform(0.006, 0.013), rng.uniform(0.008, 0.024)  # of the magazine, of the lid
+    plate, gap = rng.uniform(0.003, 0.014), rng.choice([rng.uniform(0.0005, 0.004), rng.uniform(0.002, 0.012)])
+    tall, cover = (
+        rng.uniform(0.006, rng.choice([0.013, 0.02])),
+        rng.uniform(0.008, 0.024),
+    )  # of the magazine, of the lid
     back, front = -length / 2, length / 2
     inside = width * rng.uniform(0.5, 0.8)
-    low = plate + gap
+    leans, dips = rng.choice([0.0, rng.uniform(0.0, 0.08)]), rng.choice([0.0, rng.uniform(0.0, 0.13)])
+    low = plate + gap + 0.85 * length * (leans + dips)
     hinge_y = low + tall * rng.uniform(0.2, 1.2)
     hinge_z = back + length * rng.uniform(0.03, 0.12)
     base = _base(rng, width, length, plate, low, hinge_y, hinge_z)
+    start = hinge_z + rng.choice([0.0, rng.uniform(0.0, 0.3), rng.uniform(0.15, 0.4)]) * length
+    if rng.random() < 0.35 and start > hinge_z + 0.01:  # a block between the cheeks, behind the magazine
+        clear = hinge_z + max(hinge_y - low - tall, 0.0)  # of the lid that is open
+        base.append(box((-0.47 * inside, 0.5 * plate, clear), (0.47 * inside, low + 0.9 * tall, start - 0.001)))
 
     reach = length * rng.uniform(0.86, 1.05)
     ahead = min(hinge_z + reach, front + 0.006)
@@ -33,7 +57,6 @@ def generate(rng: np.random.Generator, category: Category, unusual: np.random.Ge
     ):
         lid.append(box((inner, sill, tail), (outer, low + tall + 0.002, 0.9 * ahead)))
 
-    start = hinge_z + rng.choice([0.0, rng.uniform(0.0, 0.3)]) * length
     end = ahead - rng.uniform(0.0, 0.06) * length
     half, side = 0.46 * inside, 0.0012
     magazine = [
@@ -46,9 +69,16 @@ def generate(rng: np.random.Generator, category: Category, unusual: np.random.Ge
     if rng.random() < 0.5:  # where staples leave it
         magazine.append(box((-0.9 * half, low - 0.3 * gap, end - 0.008), (0.9 * half, low + tall, end)))
     pin = cylinder((-0.5 * inside - wall, hinge_y, hinge_z), (0.5 * inside + wall, hinge_y, hinge_z), 0.0012, 8)
-    second = np.array([0.0, low + 0.5 * tall, max(start, hinge_z)])
-    pivots = np.array([[0.0, hinge_y, hinge_z], second if rng.random() < 0.5 else [0.0, hinge_y, hinge_z]])
-    return JointedParts((merge_meshes(base), merge_meshes([*lid, pin]), merge_meshes(magazine)), pivots)
+    hinge, second = np.array([0.0, hinge_y, hinge_z]), np.array([0.0, low + 0.5 * tall, max(start, hinge_z)])
+    pivot = second if rng.random() < 0.65 else hinge
+    dip, lean = _lowering(pivot, dips), _lowering(hinge, leans)
+    parts = merge_meshes(base), merge_meshes([*lid, pin]).warped(lean), merge_meshes(magazine).warped(dip).warped(lean)
+    return JointedParts(parts, np.stack([hinge, lean(pivot)]))
+
+
+def _lowering(pivot: np.ndarray, angle: float) -> Callable[[np.ndarray], np.ndarray]:
+    """Turns points so that the front comes down."""
+    return lambda points: Rotation.from_rotvec([angle, 0.0, 0.0]).apply(points - pivot) + pivot
 
 
 def _base(rng: np.random.Generator, width, length, plate, low, hinge_y, hinge_z) -> list[Mesh]:
@@ -62,7 +92,7 @@ def _base(rng: np.random.Generator, width, length, plate, low, hinge_y, hinge_z)
     at = length * rng.uniform(0.36, 0.44)
     base.append(box((-0.3 * width, 0.3 * plate, at - 0.008), (0.3 * width, plate * 0.9 + 0.001, at + 0.005)))
     outer, thick = 0.5 * width + 0.0015, rng.uniform(0.0008, 0.002)
-    long = rng.uniform(0.006, 0.016)
+    long, slope = rng.uniform(0.006, 0.016), hinge_z + rng.choice([0.0, rng.uniform(0.15, 0.5)]) * length
     for s in (-1, 1):
         x = s * outer
         base.append(
@@ -71,6 +101,14 @@ def _base(rng: np.random.Generator, width, length, plate, low, hinge_y, hinge_z)
                 (max(x, x + s * thick), hinge_y + 0.003, hinge_z + long),
             )
         )
+        if slope > hinge_z:  # down towards the front
+            ring = [
+                [x, 0.4 * plate, hinge_z],
+                [x, hinge_y + 0.002, hinge_z],
+                [x, 0.9 * plate, slope],
+                [x, 0.4 * plate, slope],
+            ]
+            base.append(hexahedron(np.concatenate([ring, ring + s * thick * X])))
     base.append(box((-outer - thick, 0.2 * plate, hinge_z - long), (outer + thick, 0.7 * plate, hinge_z + long)))
     if rng.random() < 0.4:  # the spring between base and magazine
         x = 0.2 * width

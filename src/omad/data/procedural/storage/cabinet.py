@@ -18,12 +18,14 @@ def generate(rng: np.random.Generator, category: Category, unusual: np.random.Ge
     """One cabinet, shut; as many doors as the category has joints, the first hinged at the left, the second at the
     right. What is above y = base is the body, its front plane at z = 0, the room at +z."""
     pair = len(category.joints) == 2
-    width = rng.uniform(0.55, 1.2) if pair else rng.choice([rng.uniform(0.36, 0.75), rng.uniform(0.6, 1.1)])
+    width = rng.uniform(0.55, 1.2) if pair else rng.choice([rng.uniform(0.36, 0.75), rng.uniform(0.6, 1.3)])
     tall = rng.uniform(0.5, 1.3) * width if rng.random() < 0.5 else rng.uniform(1.2, 3.2 if pair else 4.0) * width
     depth = rng.uniform(0.3, 0.65)
     wall, thickness = rng.uniform(0.008, 0.035), rng.uniform(0.01, 0.035)
     base = rng.choice([0.0, rng.uniform(0.02, 0.12), rng.uniform(0.05, 0.25)])
-    tall = float(np.clip(tall, 0.6, (1.8 if pair else 1.65) - base))
+    tall = float(np.clip(tall, 0.6 if pair else 0.4, (1.8 if pair else 1.65) - base))
+    if not pair and rng.random() < 0.25:  # as deep as it is wide: a door that is open looks like a side
+        depth = float(np.clip(width * rng.uniform(0.85, 1.15), 0.3, 0.7))
     beside, stack = _open_parts(rng, width, tall, pair)
     left, right, bottom, top = wall + beside[0], wall + beside[1], wall + stack[0], wall + stack[1]
     case = Case(width, base + tall, depth, left, right, bottom, top, 0.4 * wall, base)
@@ -71,8 +73,8 @@ def _hung(
 
 def _open_parts(rng: np.random.Generator, width: float, tall: float, pair: bool) -> tuple[np.ndarray, np.ndarray]:
     """How much of the front no door closes: left and right of them, and below and above."""
-    aside = width * rng.uniform(0.2, 0.45) if not pair and width > 0.5 and rng.random() < 0.45 else 0.0
-    middle = aside > 0.15 and rng.random() < 0.4
+    aside = width * rng.uniform(0.2, 0.5) if not pair and width > 0.5 and rng.random() < 0.6 else 0.0
+    middle = aside > 0.15 and rng.random() < 0.3
     before, aside = (rng.uniform(0.35, 0.65), rng.uniform(1.0, 1.5) * aside) if middle else (0.0, aside)
     stack = tall * rng.uniform(0.15, 0.45, 2) * (rng.random(2) < (0.15, 0.15))
     return aside * np.array([before, 1 - before]), stack
