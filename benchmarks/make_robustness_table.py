@@ -1,9 +1,11 @@
 """Measure the shipped weights on spoilt views and write the table of docs/robustness.md.
 
     OMP_NUM_THREADS=1 python benchmarks/make_robustness_table.py [--categories laptop laptop/cluttered] [--views 60]
+    OMP_NUM_THREADS=1 python benchmarks/make_robustness_table.py --models FOLDER [--views 60]
 
-The table stands between ``<!-- robustness -->`` and ``<!-- end -->``. Answers are kept in ``--cache`` and made anew
-only where they are missing.
+The table stands between ``<!-- robustness -->`` and ``<!-- end -->``, that of other people's models, a sub-folder of
+``--models`` for each category, between ``<!-- robustness-models -->`` and ``<!-- end -->``. Answers are kept in
+``--cache`` and made anew only where they are missing.
 """
 
 from __future__ import annotations
@@ -30,19 +32,21 @@ class Config:
     categories: tuple[str, ...] = ("laptop", "eyeglasses", "dishwasher", "scissors", "drawer")
     views: int = 60
     """Of each row."""
+    models: Path | None = None
+    """Default: procedural objects."""
     cache: Path = Path("runs/robustness")
 
 
 def measured(config: Config, category: str) -> dict[str, Any]:
     """The answer of ``omad eval robustness``, from the cache where it is there."""
     name, _, other = category.partition("/")
-    file = config.cache / f"{category.replace('/', '-')}-{config.views}.json"
+    kind, source = ("", "procedural") if config.models is None else ("-models", str(config.models / name))
+    file = config.cache / f"{category.replace('/', '-')}{kind}-{config.views}.json"
     if not file.is_file():
         print(category, file=sys.stderr)
         weights = Path(category) if other else None
-        write_json(
-            file, EvalRobustness(category=name, weights=weights, data=SpoiltViews(views=config.views)).run().record
-        )
+        data = SpoiltViews(source=source, views=config.views)
+        write_json(file, EvalRobustness(category=name, weights=weights, data=data).run().record)
     return json.loads(file.read_text())
 
 
@@ -78,7 +82,8 @@ def cell(row: dict[str, Any], views: int) -> str:
 
 def main(config: Config) -> None:
     answers = {category: measured(config, category) for category in config.categories}
-    text = replaced(PAGE.read_text(), "robustness", table(answers))
+    name = "robustness" if config.models is None else "robustness-models"
+    text = replaced(PAGE.read_text(), name, table(answers))
     write_atomic(PAGE, lambda path: path.write_text(text))
 
 
