@@ -128,7 +128,8 @@ def short_table(config: Config) -> list[str]:
     return lines
 
 
-def models_table(config: Config, models: Path) -> list[str]:
+def models_table(config: Config, models: Path) -> tuple[list[str], list[str]]:
+    """Rows of the models that are usable, and why the others are not."""
     lines, refused = [f"| object | noise | {HEAD}", "|---" * 8 + "|"], []
     for name in config.categories:
         source = models / name
@@ -143,7 +144,7 @@ def models_table(config: Config, models: Path) -> list[str]:
                 lines.append(f"| {name} {entry['object']} | {'on' if noisy else 'off'} | {row}")
         reasons = ((r["name"], r["reason"].split(": ", 1)[-1]) for r in answer["refused"])
         refused += [f"- {name} {model}: {reason}" for model, reason in reasons]
-    return [*lines, "", "Refused:", "", *refused] if refused else lines
+    return lines, refused
 
 
 def shares_table() -> list[str]:
@@ -187,8 +188,8 @@ def put_in(before: list[str], lines: list[str], some: tuple[str, ...]) -> list[s
 
 
 def whose(line: str) -> str:
-    """Category that a row begins with."""
-    return line.split()[1] if line.startswith("| ") else ""
+    """Category that a row begins with, or a line of a list."""
+    return line.split()[1] if line.startswith(("| ", "- ")) else ""
 
 
 def main(config: Config) -> None:
@@ -200,7 +201,8 @@ def main(config: Config) -> None:
     write_atomic(README, lambda path: path.write_text(short))
     text = replaced(PAGE.read_text(), "procedural", procedural_table(config), some)
     if config.models is not None:
-        text = replaced(text, "models", models_table(config, config.models), some)
+        rows, refused = models_table(config, config.models)
+        text = replaced(replaced(text, "models", rows, some), "refused", refused, some)
     write_atomic(PAGE, lambda path: path.write_text(text))
     shares = replaced(SURFACES.read_text(), "shares", shares_table())
     write_atomic(SURFACES, lambda path: path.write_text(shares))

@@ -204,14 +204,18 @@ def test_an_index_that_is_overtaken_as_it_is_opened_is_opened_as_it_is_then(tmp_
 
 
 ADDING = """
-import sys
+import sys, time
 from pathlib import Path
 sys.path.insert(0, sys.argv[2])
 from applications.test_large_index import SPACE, stream
 from omad.applications.retrieval.large import large_index
 large_index.PART_ENTRIES = 500
 index = large_index.LargeIndex.create(Path(sys.argv[1]), SPACE)
-index.add(stream(20000, index.taken("numbers")), "numbers")
+def paced():  # so that it is not done before it was killed six times
+    for portion in stream(20000, index.taken("numbers")):
+        time.sleep(0.015)
+        yield portion
+index.add(paced(), "numbers")
 """
 
 

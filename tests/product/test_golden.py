@@ -41,7 +41,7 @@ LIMITS = {
     "refrigerator_two_doors": (4.1, 1.8, 0.023),
     "safe": (2.2, 1.1, 0.042),
     "scissors": (3.8, 1.9, 0.02),
-    "stapler": (4.0, 2.7, 0.074),
+    "stapler": (2.8, 1.5, 0.054),
     "suitcase": (4.6, 10.1, 0.051),
     "washing_machine": (3.5, 1.4, 0.034),
 }

@@ -48,8 +48,9 @@ def generate(rng: np.random.Generator, category: Category, unusual: np.random.Ge
     ahead = min(hinge_z + reach, front + 0.006)
     sunk = tall * rng.uniform(0.0, 0.7)  # how far the lid comes down beside the magazine
     wall = 0.5 * (width * rng.uniform(0.85, 1.0) - inside)
-    top, sill = low + tall + cover, low + tall - sunk
     tail = hinge_z - rng.uniform(0.2, 0.9) * min(hinge_z - back, max(hinge_y - plate, 0.001))  # comes down behind
+    cover = max(cover, 0.42 * (start - tail) - tall + sunk)  # a magazine that is at its front still lies below it
+    top, sill = low + tall + cover, low + tall - sunk
     lid = _lid(rng, inside + 2 * wall, low + tall + 0.0004, top, tail, ahead)
     for inner, outer in (
         (0.5 * inside + 0.1 * wall, 0.5 * inside + wall),

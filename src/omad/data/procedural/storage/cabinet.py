@@ -26,6 +26,9 @@ def generate(rng: np.random.Generator, category: Category, unusual: np.random.Ge
     tall = float(np.clip(tall, 0.6 if pair else 0.4, (1.8 if pair else 1.65) - base))
     if not pair and rng.random() < 0.25:  # as deep as it is wide: a door that is open looks like a side
         depth = float(np.clip(width * rng.uniform(0.85, 1.15), 0.3, 0.7))
+    size = float(np.linalg.norm([width, base + tall, depth]))
+    if not pair:  # neither a box for the wall nor one that no room holds
+        width, tall, depth = np.array([width, tall, depth]) * np.clip(size, 0.84, 2.0) / size
     beside, stack = _open_parts(rng, width, tall, pair)
     left, right, bottom, top = wall + beside[0], wall + beside[1], wall + stack[0], wall + stack[1]
     case = Case(width, base + tall, depth, left, right, bottom, top, 0.4 * wall, base)
