@@ -44,3 +44,9 @@ def test_no_code_asks_for_a_category_by_name():
             if isinstance(node, ast.Compare | ast.MatchValue):
                 asked = {value.value for value in ast.walk(node) if isinstance(value, ast.Constant)}
                 assert not asked & names, f"{path.relative_to(ROOT)}:{node.lineno}"
+
+
+def test_every_benchmark_is_listed():
+    folder = Path(__file__).parents[2] / "benchmarks"
+    listed = (folder / "README.md").read_text()
+    assert not [path.name for path in folder.glob("*.py") if f"`{path.name}`" not in listed]

@@ -1,6 +1,7 @@
 """Random cabinets with one door or with two: wardrobes, kitchen units, lockers, sideboards with open shelves."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -77,8 +78,10 @@ def _hung(
 def _open_parts(rng: np.random.Generator, width: float, tall: float, pair: bool) -> tuple[np.ndarray, np.ndarray]:
     """How much of the front no door closes: left and right of them, and below and above."""
     aside = width * rng.uniform(0.2, 0.5) if not pair and width > 0.5 and rng.random() < 0.6 else 0.0
-    middle = aside > 0.15 and rng.random() < 0.3
-    before, aside = (rng.uniform(0.35, 0.65), rng.uniform(1.0, 1.5) * aside) if middle else (0.0, aside)
+    at = rng.random() if aside > 0.15 else 0.5
+    before = 0.0 if at < 0.7 else 1.0  # on the side of the handle, or of the hinge
+    if at < 0.3:  # on both
+        before, aside = rng.uniform(0.35, 0.65), rng.uniform(1.0, 1.5) * aside
     stack = tall * rng.uniform(0.15, 0.45, 2) * (rng.random(2) < (0.15, 0.15))
     return aside * np.array([before, 1 - before]), stack
 
@@ -90,14 +93,33 @@ def _carcass(rng: np.random.Generator, case: Case, beside: np.ndarray, stack: np
     whole = replace(case, left=wall, right=wall, bottom=wall, top=wall)
     mouth, inner, back = case.mouth, whole.mouth, -case.depth + case.back
     solids = [*whole.walls(), *shelves(rng, case, 4)]
+    closed = rng.spawn(1)[0]
     for side, (open_part, edge) in enumerate(zip(beside, (mouth.x0 - wall, mouth.x1), strict=True)):
         if open_part:
             solids.append(box((edge, inner.y0, back), (edge + wall, inner.y1, 0.0)))
             room = {"left": edge + wall - case.front.x0} if side else {"right": case.front.x1 - edge}
             solids += shelves(rng, replace(whole, **room), 4)
+            solids += _fronts(closed, replace(whole, **room).mouth)
     low, high = mouth.x0 - wall * bool(beside[0]), mouth.x1
     if stack[0]:
         solids.append(box((low, mouth.y0 - wall, back), (high, mouth.y0, 0.0)))
+        solids += _fronts(closed, Rect(low, high, inner.y0, mouth.y0 - wall))
     if stack[1]:
         solids.append(box((low, mouth.y1, back), (high, mouth.y1 + wall, 0.0)))
+        solids += _fronts(closed, Rect(low, high, mouth.y1 + wall, inner.y1))
+    return solids
+
+
+def _fronts(rng: np.random.Generator, opening: Rect) -> list[Mesh]:
+    """What closes an open part for good, if anything: a panel, or the fronts of drawers."""
+    if rng.random() > 0.4:
+        return []
+    edges = np.linspace(opening.y0, opening.y1, rng.integers(2, 6))
+    front, style, plain = rng.uniform(-0.004, 0.02), int(rng.integers(2**31)), rng.random() < 0.3
+    solids = list[Mesh]()
+    for low, high in pairwise(edges):
+        face = replace(opening, y0=low, y1=high).grown(-0.0015)
+        solids.append(face.slab(-0.012, front))
+        if not plain and face.height > 0.05:
+            solids += handle(np.random.default_rng(style), face, front, "top", 0.5)  # alike
     return solids

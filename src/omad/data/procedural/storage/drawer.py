@@ -32,16 +32,23 @@ def generate(rng: np.random.Generator, category: Category, unusual: np.random.Ge
     low, high = base + wall, height - wall
     shares = rng.uniform(0.6, 1.4, count) if rng.random() < 0.6 else np.ones(count)
     edges = high - (high - low) * np.concatenate([[0.0], np.cumsum(shares / shares.sum())])
-    cabinet = _cabinet(rng, width, height, depth, wall, base, edges)
+    if unusual and count > 1 and unusual.random() < 0.6:
+        edges = _uneven(unusual, edges)
+    whole = bool(unusual) and not inset and unusual.random() < 0.5  # fronts that leave nothing of the body to be seen
+    if unusual and count > 1 and unusual.random() < 0.6:
+        edges = _uneven(unusual, edges)
+    whole = bool(unusual) and not inset and unusual.random() < 0.5  # fronts that leave nothing of the body to be seen
+    cabinet = _cabinet(rng, width, height, depth, wall, base, edges, whole)
     pull = Pull(rng, unusual)
     fill = rng.uniform(0.4, 0.9) if rng.random() < 0.2 else 1.0  # trays leave their bays open above
     drawers = []
-    for top, bottom in pairwise(edges):
+    for number, (top, bottom) in enumerate(pairwise(edges)):
         gap = rng.uniform(0.001, 0.004)
         half = width / 2 - wall - gap if inset else width / 2 - rng.uniform(0.0, 0.004)
-        spill = -gap if inset else wall * 0.45 - gap
+        spill = -gap if inset or whole else wall * 0.45 - gap
+        below, above = wall * whole * (number == count - 1), wall * whole * (number == 0)
         top = bottom + fill * (top - bottom)
-        face_low, face_high = bottom - spill, top + spill
+        face_low, face_high = bottom - spill - below, top + spill + above
         solids = [slab((-half, face_low, front - thickness), (half, face_high, front), 2, 0.002, pull.bevel)]
         solids += tray(rng, width / 2 - wall - 0.012, bottom, top, depth, wall, front - thickness)
         solids += pull.solids(half, face_low, face_high, front)
@@ -55,10 +62,18 @@ def _as_table(rng: np.random.Generator, height: float, base: float) -> float:
     return height * rng.uniform(0.25, 0.7) if rng.random() < 0.6 else base
 
 
-def _cabinet(rng, width, height, depth, wall, base, edges) -> list[Mesh]:
-    """Walls, back, bottom, top, rails between the drawers, and what it stands on."""
+def _uneven(rng: np.random.Generator, edges: np.ndarray) -> np.ndarray:
+    """Some drawers above lower than those below, as most makers have them."""
+    count = len(edges) - 1
+    heights = -np.diff(edges) * np.where(np.arange(count) < rng.integers(1, count), 1.0, rng.uniform(1.4, 2.3))
+    return edges[0] + (edges[-1] - edges[0]) * np.concatenate([[0.0], np.cumsum(heights / heights.sum())])
+
+
+def _cabinet(rng, width, height, depth, wall, base, edges, flush) -> list[Mesh]:
+    """Walls, back, bottom, top, rails between the drawers, and what it stands on; the top is ``flush`` or juts out."""
     x, inner = width / 2, width / 2 - wall
     over, side = rng.choice([0.0, rng.uniform(0.005, 0.04)]), rng.choice([0.0, rng.uniform(0.005, 0.03)])
+    over = 0.0 if flush else over
     bottomless = rng.random() < 0.15  # two sides that stand on the floor, nothing below the last drawer
     foot = 0.0 if bottomless else base
     solids = [
