@@ -42,7 +42,7 @@ LIMITS = {
     "safe": (2.2, 1.1, 0.042),
     "scissors": (3.8, 1.9, 0.02),
     "stapler": (2.8, 1.5, 0.054),
-    "suitcase": (4.6, 10.1, 0.051),
+    "suitcase": (2.7, 1.9, 0.026),
     "washing_machine": (3.5, 1.4, 0.034),
 }
 PASSED_OVER = {
