@@ -329,6 +329,11 @@ def test_an_interrupted_training_goes_on_where_it_was(capsys, monkeypatch):
     answer(capsys, *net[:-1], "begun", "--initial", "dishwasher")
     assert json.loads(Path("begun/config.json").read_text())["training"]["initial"]["category"] == "dishwasher"
 
+    # a prior remembers the one that it was fine-tuned from
+    answer(capsys, *train, "finer", "--initial", "prior")
+    first, finer = (json.loads(Path(f"{name}/config.json").read_text())["training"] for name in ("prior", "finer"))
+    assert finer["initial"] == {"category": "laptop", **first}
+
 
 def use_weights(capsys, folder: str) -> None:
     """``omad export`` takes a training's folder, and every command takes what it writes."""

@@ -39,7 +39,15 @@ with lazy_imports():
     from omad.evaluation.confidence.hands import fit_hand
     from omad.evaluation.confidence.surface_shares import follows_better, measured_shares
     from omad.model.backbones import BackboneConfig, get_backbone
-    from omad.model.checkpoint import Network, find_weights, load, save, shipped_categories, training_record
+    from omad.model.checkpoint import (
+        Network,
+        category_of,
+        find_weights,
+        load,
+        save,
+        shipped_categories,
+        training_record,
+    )
     from omad.model.omadnet import OmadNet
     from omad.model.priornet import PriorNet
     from omad.training.loop import Schedule
@@ -126,6 +134,9 @@ class TrainPrior(_Training):
             check_category("--initial", self.initial, initial.category, self.category)
         return self.learn(train_prior, PriorTraining(), initial=initial)
 
+    def record(self, schedule: Schedule) -> dict[str, Any]:
+        return super().record(schedule) | begun_with("initial", self.initial, PriorNet)
+
 
 @dataclass(frozen=True, kw_only=True)
 class TrainSurface:
@@ -200,15 +211,15 @@ class _NetTraining(_Training):
         return net
 
     def record(self, schedule: Schedule) -> dict[str, Any]:
-        return super().record(schedule) | begun_with("initial", self.initial)
+        return super().record(schedule) | begun_with("initial", self.initial, OmadNet)
 
 
-def begun_with(name: str, weights: str | None) -> dict[str, Any]:
+def begun_with(name: str, weights: str | Path | None, kind: type[Network]) -> dict[str, Any]:
     """What a checkpoint remembers of the network that its training began with, by the option's name."""
     if weights is None:
         return {}
     folder = find_weights(weights)
-    return {name: {"category": load(OmadNet, folder).category.name, **training_record(OmadNet, folder)}}
+    return {name: {"category": category_of(kind, folder).name, **training_record(kind, folder)}}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -265,7 +276,7 @@ class TrainNet(_NetTraining):
 
     def record(self, schedule: Schedule) -> dict[str, Any]:
         record = super().record(schedule) | {"refinement_loss": self.refinement_loss, "clutter": self.clutter}
-        return record | begun_with("features", self.features)
+        return record | begun_with("features", self.features, OmadNet)
 
     def _prior(self) -> PriorNet:
         if self.prior is None and omad.get_category(self.category).name not in shipped_categories():

@@ -15,7 +15,8 @@ from ..vocabulary.stands import feet
 
 
 def generate(rng: np.random.Generator, category: Category, unusual: np.random.Generator | None) -> JointedParts:
-    """One microwave, door closed, hinged at the left. Body on y = 0 .. height, its front plane at z = 0."""
+    """One microwave, door closed, hinged at the left. Body on y = 0 .. height, its front plane at z = 0. The
+    door of unusual ones leaves much of the front free all around."""
     width = rng.uniform(0.4, 0.62)
     height, depth = width * rng.uniform(0.45, 0.7), width * rng.uniform(0.55, 0.85)
     wall = rng.choice([rng.uniform(0.004, 0.012), rng.uniform(0.01, 0.04)])
@@ -24,7 +25,10 @@ def generate(rng: np.random.Generator, category: Category, unusual: np.random.Ge
     if panel < 0.07 * width:
         low += 0.15 * height
     back = depth * rng.choice([rng.uniform(0.02, 0.1), rng.uniform(0.1, 0.3)])
-    case = Case(width, height, depth, wall * rng.uniform(1.0, 2.5), panel, low, high, back)
+    left = wall * rng.uniform(1.0, 2.5)
+    if unusual:
+        left, low, high = unusual.uniform(0.05, 0.15) * width, *unusual.uniform(0.06, 0.2, 2) * height
+    case = Case(width, height, depth, left, panel, low, high, back)
     front, mouth = case.front, case.mouth
 
     thickness = rng.choice([rng.uniform(0.008, 0.025), rng.uniform(0.02, 0.06)])
@@ -32,6 +36,9 @@ def generate(rng: np.random.Generator, category: Category, unusual: np.random.Ge
     outer = replace(front, x1=mouth.x1 + lap)
     if panel < 0.07 * width:
         outer = replace(front, y0=mouth.y0 - 0.3 * low)
+    if unusual:
+        free = unusual.uniform(0.3, 0.9) * np.array([mouth.x0 - outer.x0, mouth.y0 - outer.y0, mouth.y1 - outer.y1])
+        outer = replace(outer, x0=outer.x0 + free[0], y0=outer.y0 + free[1], y1=outer.y1 + free[2])
     door, body = fitted(rng, outer, mouth, thickness)
     pivot = pivot_at_side(rng, door, thickness, bool(body))
 

@@ -16,13 +16,16 @@ from ..vocabulary.stands import feet
 
 
 def generate(rng: np.random.Generator, category: Category, unusual: np.random.Generator | None) -> JointedParts:
-    """One oven, door closed, hinged below. Body on y = 0 .. height, its front plane at z = 0, the room at +z."""
+    """One oven, door closed, hinged below. Body on y = 0 .. height, its front plane at z = 0, the room at +z. Unusual
+    ones have a tall drawer flush with the door, and a hob that juts out."""
     cooker = rng.random() < 0.65
     width = rng.uniform(0.5, 0.9) if cooker else rng.uniform(0.42, 0.75)
     height = rng.uniform(0.7, 1.0) if cooker else width * rng.uniform(0.55, 1.1)
     depth = width * rng.uniform(0.65, 1.15) if cooker else rng.uniform(0.4, 0.65)
     wall = rng.uniform(0.01, 0.06)
     below = height * (rng.uniform(0.12, 0.34) if cooker else rng.choice([0.02, rng.uniform(0.02, 0.12)]))
+    if unusual and cooker:
+        below = height * unusual.uniform(0.2, 0.42)
     above = height * (rng.uniform(0.03, 0.22) if rng.random() < 0.75 else 0.02)
     low, high = (max(end, 0.015) + wall * rng.uniform(0.2, 1.0) for end in (below, above))
     case = Case(width, height, depth, wall, wall, low, high, rng.choice([wall, rng.uniform(0.05, 0.3) * depth]))
@@ -36,9 +39,9 @@ def generate(rng: np.random.Generator, category: Category, unusual: np.random.Ge
     crude = rng.random() < 0.12
     body += [front.slab(-depth, 0.0)] if crude else case.walls()
     sink = thickness - hinge + 0.004  # how far the shut door's foot comes down
-    body += _fronts(rng, front, outer.y0 - sink, outer.y1 + 0.002, thickness, hinge)
+    body += _fronts(rng, front, outer.y0 - sink, outer.y1 + 0.002, thickness, hinge, unusual)
     if cooker:
-        body += _hob(rng, width, height, depth, thickness)
+        body += _hob(rng, width, height, depth, thickness, unusual.uniform(0.0, 0.05) if unusual else 0.0)
     body += feet(rng, width / 2, depth, 0.08)
     if not crude:
         for level in sorted(rng.uniform(0.1, 0.8, int(rng.integers(0, 4)))):
@@ -53,18 +56,18 @@ def generate(rng: np.random.Generator, category: Category, unusual: np.random.Ge
     return JointedParts((merge_meshes(body), merge_meshes(moving)), pivot[None])
 
 
-def _fronts(
-    rng: np.random.Generator, front: Rect, low: float, high: float, thickness: float, hinge: float
-) -> list[Mesh]:
+def _fronts(rng: np.random.Generator, front: Rect, low, high, thickness, hinge, unusual) -> list[Mesh]:
     """What is below and above the door: a drawer's face or a plinth, and the controls."""
     solids = []
     margin = rng.choice([0.0, rng.uniform(0.0, 0.02)])
     if low > 0.05:
         face = Rect(front.x0 + margin, front.x1 - margin, rng.uniform(0.0, 0.5) * low, low)
         reach = rng.choice([0.002, hinge, rng.uniform(0.1, 1.0) * hinge])
+        if unusual:
+            reach = thickness * unusual.uniform(0.7, 1.1)
         solids.append(slab((face.x0, face.y0, -0.01), (face.x1, face.y1, reach), 2, 0.004))
-        if rng.random() < 0.35 and face.height > 0.1:
-            solids += handle(rng, face, reach, "top", 0.4)
+        if rng.random() < (0.7 if unusual else 0.35) and face.height > 0.1:
+            solids += handle(rng, face, reach, "top", 0.7 if unusual else 0.4)
     if front.y1 - high > 0.02:
         strip = Rect(front.x0, front.x1, high, front.y1)
         reach = thickness * rng.uniform(0.05, 1.1)
@@ -73,9 +76,12 @@ def _fronts(
     return solids
 
 
-def _hob(rng: np.random.Generator, width: float, height: float, depth: float, thickness: float) -> list[Mesh]:
-    """The top of a cooker, flat or with burners and grates, and what stands up behind it."""
-    over, thick = thickness * rng.uniform(0.0, 1.2), rng.uniform(0.005, 0.05)
+def _hob(
+    rng: np.random.Generator, width: float, height: float, depth: float, thickness: float, lip: float
+) -> list[Mesh]:
+    """The top of a cooker, flat or with burners and grates, and what stands up behind it; ``lip``: how much farther it
+    juts out."""
+    over, thick = lip + thickness * rng.uniform(0.0, 1.2), rng.uniform(0.005, 0.05)
     x, y = width / 2 + rng.uniform(0.0, 0.01), height + thick
     solids = [slab((-x, height, -depth), (x, y, over), 1, rng.uniform(0.0, 0.02))]
     if rng.random() < 0.7:
