@@ -46,6 +46,7 @@ LIMITS = {
     "washing_machine": (3.5, 1.4, 0.034),
 }
 PASSED_OVER = {
+    "cabinet_one_door": 2,
     "cabinet_two_doors": 4,
     "drawer_5": 3,
     "refrigerator_two_doors": 2,
