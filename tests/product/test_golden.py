@@ -36,7 +36,7 @@ LIMITS = {
     "laptop": (1.6, 1.4, 0.026),
     "lidded_box": (2.2, 1.8, 0.046),
     "microwave": (1.7, 1.2, 0.035),
-    "oven": (3.6, 1.7, 0.05),
+    "oven": (3.2, 1.5, 0.05),
     "refrigerator": (2.0, 1.3, 0.032),
     "refrigerator_two_doors": (3.7, 1.7, 0.023),
     "safe": (2.2, 1.1, 0.042),
