@@ -28,10 +28,8 @@ def generate(rng: np.random.Generator, category: Category, unusual: np.random.Ge
     come down to it at the front, the magazine by more."""
     length, width = rng.uniform(0.1, 0.19), rng.uniform(0.02, 0.042)
     plate, gap = rng.uniform(0.003, 0.014), rng.choice([rng.uniform(0.0005, 0.004), rng.uniform(0.002, 0.012)])
-    tall, cover = (
-        rng.uniform(0.006, rng.choice([0.013, 0.02])),
-        rng.uniform(0.008, 0.024),
-    )  # of the magazine, of the lid
+    tall = rng.uniform(0.006, rng.choice([0.013, 0.02]))  # of the magazine
+    cover = rng.uniform(0.008, 0.024)  # of the lid
     back, front = -length / 2, length / 2
     inside = width * rng.uniform(0.5, 0.8)
     leans, dips = rng.choice([0.0, rng.uniform(0.0, 0.08)]), rng.choice([0.0, rng.uniform(0.0, 0.13)])

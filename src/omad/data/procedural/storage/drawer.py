@@ -35,9 +35,6 @@ def generate(rng: np.random.Generator, category: Category, unusual: np.random.Ge
     if unusual and count > 1 and unusual.random() < 0.6:
         edges = _uneven(unusual, edges)
     whole = bool(unusual) and not inset and unusual.random() < 0.5  # fronts that leave nothing of the body to be seen
-    if unusual and count > 1 and unusual.random() < 0.6:
-        edges = _uneven(unusual, edges)
-    whole = bool(unusual) and not inset and unusual.random() < 0.5  # fronts that leave nothing of the body to be seen
     cabinet = _cabinet(rng, width, height, depth, wall, base, edges, whole)
     pull = Pull(rng, unusual)
     fill = rng.uniform(0.4, 0.9) if rng.random() < 0.2 else 1.0  # trays leave their bays open above
