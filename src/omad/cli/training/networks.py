@@ -202,6 +202,10 @@ class _NetTraining(_Training):
     def backbone(self) -> BackboneConfig:
         return get_backbone(self.size)
 
+    def views(self, clutter: Clutter | None = None) -> ViewSettings:
+        """Of as many points as the backbone will be shown."""
+        return ViewSettings(points=self.backbone().points, clutter=clutter)
+
     def load_start(self, option: str, weights: str | None) -> OmadNet | None:
         if weights is None:
             return None
@@ -227,9 +231,8 @@ class TrainAncsh(_NetTraining):
     """Train the baseline A-NCSH as OMADNet is trained: same views, backbone and schedule, but no prior."""
 
     def run(self) -> Answer:
-        return self.learn(
-            train_ancsh, AncshTraining(backbone=self.backbone()), initial=self.load_start("--initial", self.initial)
-        )
+        settings = AncshTraining(backbone=self.backbone(), views=self.views())
+        return self.learn(train_ancsh, settings, initial=self.load_start("--initial", self.initial))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -237,9 +240,8 @@ class TrainSiamese(_NetTraining):
     """Train the Siamese baseline of retrieval: same views, backbone and schedule as OMADNet, but no prior."""
 
     def run(self) -> Answer:
-        return self.learn(
-            train_siamese, SiameseTraining(backbone=self.backbone()), initial=self.load_start("--initial", self.initial)
-        )
+        settings = SiameseTraining(backbone=self.backbone(), views=self.views())
+        return self.learn(train_siamese, settings, initial=self.load_start("--initial", self.initial))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -262,7 +264,7 @@ class TrainNet(_NetTraining):
 
     def run(self) -> Answer:
         weights = NetLossWeights(refinement=self.refinement_loss)
-        views = ViewSettings(clutter=Clutter() if self.clutter else None)
+        views = self.views(Clutter() if self.clutter else None)
         preset = NetTraining(backbone=self.backbone(), weights=weights, attention=self.attention, views=views)
         if self.features is not None and self.initial is not None:
             raise InputError("--features: does not go with --initial, which takes over all; give one of them")
