@@ -51,6 +51,24 @@ def test_every_form_is_the_same_mask(form: object) -> None:
     assert np.array_equal(found, MASK)
 
 
+def test_which_of_a_label_image_is_asked_for(tmp_path: Path) -> None:
+    labels = np.where(MASK, 3, 1).astype(np.uint8)
+    labels[0] = 0
+    Image.fromarray(labels).save(tmp_path / "labels.png")
+    for refused in (lambda: as_mask(labels), lambda: as_mask(labels[None]), lambda: read_mask(tmp_path / "labels.png")):
+        with pytest.raises(InputError, match=r"label image of 1, 3; give mask_id \(--mask-id\)"):
+            refused()
+    assert np.array_equal(as_mask(labels != 0), labels != 0)
+
+
+def test_grey_edges_and_pictures_are_no_labels() -> None:
+    smooth = np.where(MASK, 255, 0).astype(np.uint8)
+    smooth[2, 3:6] = 60, 128, 200
+    assert np.array_equal(as_mask(smooth), MASK)
+    picture = np.arange(1, 201).reshape(10, 20)
+    assert as_mask(picture).all()
+
+
 def test_an_id_picks_one_of_a_label_image(tmp_path: Path) -> None:
     labels = np.where(MASK, 3, 1).astype(np.uint8)
     labels[0] = 0

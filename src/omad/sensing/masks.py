@@ -18,6 +18,8 @@ OPAQUE = 128
 """A pixel with at least this alpha, of 255, is the object's."""
 LISTED = 12
 """Ids that an error lists at most."""
+FEW = 64
+"""Of fewer numbers an image is one of labels; of more, a picture cut out of its background, say."""
 LONGEST = 35
 """Bits of a run length in COCO's strings; no image has so many pixels."""
 
@@ -26,12 +28,12 @@ def as_mask(values: Any, mask_id: int | None = None) -> np.ndarray:
     """(H, W) bool of what stands for a mask:
 
     - numbers (H, W), (1, H, W), (1, 1, H, W) or (H, W, 1), NumPy or torch: what is not zero, or with ``mask_id`` what
-      has that number. Floats between 0 and 1 are probabilities, and one half is enough;
+      has that number, which label images need. Floats between 0 and 1 are probabilities, and one half is enough;
     - colours (H, W, 3): what is not black. (H, W, 4): where the alpha channel varies it is the mask, else the colours;
     - a COCO segmentation, a mapping with ``size`` (H, W) and ``counts``, compressed or not, or ``polygons``, rows of
       x, y, x, y ... in pixels; or an annotation that has it under ``segmentation``.
 
-    Raises InputError for logits, for several masks in one, and for what is none of these."""
+    Raises InputError for logits, for several masks or labels in one, and for what is none of these."""
     if isinstance(values, Mapping):
         return _decoded(values)
     try:
@@ -54,7 +56,7 @@ def as_mask(values: Any, mask_id: int | None = None) -> np.ndarray:
         return _labelled(stored, mask_id)
     if stored.dtype.kind == "f":
         return _likely(stored)
-    return stored if stored.dtype == bool else stored != 0
+    return stored if stored.dtype == bool else _of_one_thing(stored)
 
 
 def _of_colours(image: np.ndarray) -> np.ndarray:
@@ -76,10 +78,23 @@ def _one_channel(image: np.ndarray) -> np.ndarray:
 def _labelled(labels: np.ndarray, mask_id: int) -> np.ndarray:
     found = labels == mask_id
     if not found.any():
-        ids = np.unique(labels)
-        listed = ", ".join(f"{number:g}" for number in ids[:LISTED]) + (", ..." if len(ids) > LISTED else "")
-        raise InputError(f"mask: no pixel has the id {mask_id}; there are {listed}")
+        raise InputError(f"mask: no pixel has the id {mask_id}; there are {_listed(np.unique(labels))}")
     return found
+
+
+def _of_one_thing(numbers: np.ndarray) -> np.ndarray:
+    """What is not zero. Edges may be grey, but of an image with several labels it is not known which is meant."""
+    high, there = numbers.max(initial=0), numbers != 0
+    others = numbers[there & (numbers != high)]
+    smoothed = high == np.iinfo(numbers.dtype).max and 2 * len(others) < np.count_nonzero(there)
+    if len(others) and not smoothed and len(ids := np.unique(others)) < FEW - 1:
+        listed = _listed(np.append(ids, high))
+        raise InputError(f"mask: is a label image of {listed}; give mask_id (--mask-id), or mask != 0 for all of them")
+    return there
+
+
+def _listed(ids: np.ndarray) -> str:
+    return ", ".join(f"{number:g}" for number in ids[:LISTED]) + (", ..." if len(ids) > LISTED else "")
 
 
 def _likely(values: np.ndarray) -> np.ndarray:
