@@ -71,13 +71,18 @@ def judged(answer: dict[str, Any]) -> str:
 
 
 def cell(row: dict[str, Any], views: int) -> str:
-    """Mean error; shares covered by the 50 % and the 90 % interval, flagged and silently wrong; the number of views
-    where it is not ``views``."""
-    angle, length = row["joint_state_error_deg"], row["joint_state_error"]
-    error = f"{angle['mean']:.1f}°" if angle else f"{100 * length['mean']:.1f} cm"
+    """Mean error, and that of the answers that are not flagged; shares covered by the 50 % and the 90 % interval,
+    flagged and silently wrong; the number of views where it is not ``views``."""
+    errors = ", ".join(mean(of) for of in (row, row["trusted"]))
     shares = (f"{100 * row[key]:.0f}" for key in ("covered_50", "covered_90", "flagged", "silently_wrong"))
     fewer = f" ({row['views']})" if row["views"] < views else ""
-    return f"{error}; {' / '.join(shares)}{fewer}"
+    return f"{errors}; {' / '.join(shares)}{fewer}"
+
+
+def mean(of: dict[str, Any]) -> str:
+    """Degrees, or centimetres."""
+    angle, length = of["joint_state_error_deg"], of["joint_state_error"]
+    return f"{angle['mean']:.1f}°" if angle else f"{100 * length['mean']:.1f} cm" if length else "-"
 
 
 def main(config: Config) -> None:

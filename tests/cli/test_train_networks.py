@@ -5,12 +5,32 @@ from pathlib import Path
 import pytest
 
 from omad.cli.training import networks
+from omad.common.errors import InputError
+from omad.model.backbones import BACKBONES, SLIM
+from omad.model.checkpoint import save
+from omad.model.omadnet import OmadNet
+from omad.model.prior import OmadPrior
+from omad.objects.category_file import get_category
+
+LAPTOP = get_category("laptop")
 
 
 @pytest.mark.parametrize("command", [networks.TrainNet, networks.TrainAncsh, networks.TrainSiamese])
-@pytest.mark.parametrize(("size", "points"), [("slim", 512), ("paper", 1024)])
+@pytest.mark.parametrize(("size", "points"), [(None, 512), ("fine", 1024), ("paper", 1024)])
 def test_views_have_as_many_points_as_the_backbone_is_shown(monkeypatch, command, size, points):
     asked = []
     monkeypatch.setattr(networks._Training, "learn", lambda self, train, settings, **given: asked.append(settings))
     command(category="laptop", output=Path("run"), size=size).run()
     assert asked[0].views.points == asked[0].backbone.points == points
+
+
+def test_training_goes_on_at_the_size_that_was_begun_unless_another_is_asked_for(monkeypatch, tmp_path):
+    asked = []
+    monkeypatch.setattr(networks._Training, "learn", lambda self, train, settings, **given: asked.append(settings))
+    save(OmadNet(LAPTOP, OmadPrior(LAPTOP), BACKBONES["fine"]), tmp_path / "fine", {})
+    fine = {"category": "laptop", "output": Path("run"), "initial": str(tmp_path / "fine")}
+    networks.TrainNet(**fine).run()
+    networks.TrainNet(**fine, size="slim").run()
+    assert [settings.backbone for settings in asked] == [BACKBONES["fine"], SLIM]
+    with pytest.raises(InputError, match="is not of the size paper; change --size"):
+        networks.TrainNet(**fine, size="paper").run()

@@ -46,6 +46,8 @@ def test_the_table_counts_as_it_says() -> None:
     assert clean["covered_90"] == pytest.approx(2 / 3)  # 3 of one degree is out of 1.645
     assert steep["ratio"] == pytest.approx(22 / 4)  # of the same two views
     assert (steep["flagged"], steep["wrong"], steep["silently_wrong"], steep["views"]) == (0.5, 0.5, 0.0, 2)
+    assert steep["trusted"]["ratio"] == pytest.approx(2)
+    assert steep["trusted"]["joint_state_error_deg"]["mean"] == pytest.approx(2)
     assert (below["wrong"], below["silently_wrong"], below["covered_90"]) == (1.0, 1.0, 1.0)
 
 
@@ -55,6 +57,7 @@ def test_lengths_are_metres_and_missing_answers_are_the_worst() -> None:
     assert row["joint_state_error_deg"] is None
     assert row["joint_state_error"]["mean"] == pytest.approx(DRAWER.metres_per_unit)
     assert (row["missing"], row["covered_90"], row["flagged"]) == (1, 0.0, 1.0)
+    assert row["trusted"] == {"joint_state_error_deg": None, "joint_state_error": None, "ratio": None}
 
 
 def test_probabilities_are_judged_where_there_are_any() -> None:

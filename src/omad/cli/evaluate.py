@@ -232,7 +232,8 @@ class EvalRobustness(CategoryCommand):
 
 def robustness_text(answer: dict[str, Any]) -> str:
     """A line a spoil: mean, median and 90th percentile of the joint states' errors, and shares."""
-    columns = ["joint state", "ratio", "in 50 %", "in 90 % interval", "flagged", "wrong", "silently wrong", "what"]
+    errors, told = ["joint state", "ratio", "trusted"], ["in 50 %", "in 90 % interval", "flagged", "wrong"]
+    columns = [*errors, *told, "silently wrong", "what"]
     lines = [["", *columns]]
     for row in answer["rows"]:
         angle, length = row["joint_state_error_deg"], row["joint_state_error"]
@@ -240,7 +241,8 @@ def robustness_text(answer: dict[str, Any]) -> str:
         states += [_spread(length, 1, " m")] if length else []
         keys = ("covered_50", "covered_90", "flagged", "wrong", "silently_wrong")
         shares = [f"{row[key]:.0%}" for key in keys]
-        lines.append([row["row"], ", ".join(states), f"{row['ratio']:.2f}", *shares, row["what"]])
+        ratios = ["-" if ratio is None else f"{ratio:.2f}" for ratio in (row["ratio"], row["trusted"]["ratio"])]
+        lines.append([row["row"], ", ".join(states), *ratios, *shares, row["what"]])
     head = f"{answer['category']}, {answer['source']}: {answer['views']} views a row, mean / median / 90th percentile"
     left_out = [f"left out, as there are no such views: {', '.join(answer['left_out'])}"] if answer["left_out"] else []
     refused = [f"refused {each['name']}: {each['reason']}" for each in answer["refused"]]

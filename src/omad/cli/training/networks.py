@@ -38,7 +38,7 @@ with lazy_imports():
     from omad.evaluation.confidence import fitting
     from omad.evaluation.confidence.hands import fit_hand
     from omad.evaluation.confidence.surface_shares import follows_better, measured_shares
-    from omad.model.backbones import BackboneConfig, get_backbone
+    from omad.model.backbones import SLIM, BackboneConfig, get_backbone
     from omad.model.checkpoint import (
         Network,
         category_of,
@@ -196,23 +196,33 @@ class _NetTraining(_Training):
     initial: str | None = None
     """OMADNet checkpoint to start from, or a category with weights: all of it to fine-tune (with the same prior); of
     another category, what it knows of clouds; its backbone for a baseline, that then has had its training, too."""
-    size: str = "slim"
-    """Of the backbone; slim: fast on a CPU; paper: the paper's PointNet++."""
+    size: str | None = None
+    """Of the backbone; slim: fast on a CPU; fine: slim's weights with twice the points, for objects of many parts; it
+    takes twice as long; paper: the paper's PointNet++. Default: of what it starts from, or slim."""
 
-    def backbone(self) -> BackboneConfig:
-        return get_backbone(self.size)
+    def backbone(self, start: OmadNet | None = None) -> BackboneConfig:
+        if self.size is not None:
+            return get_backbone(self.size)
+        return SLIM if start is None else start.backbone.config
 
-    def views(self, clutter: Clutter | None = None) -> ViewSettings:
+    def views(self, backbone: BackboneConfig, clutter: Clutter | None = None) -> ViewSettings:
         """Of as many points as the backbone will be shown."""
-        return ViewSettings(points=self.backbone().points, clutter=clutter)
+        return ViewSettings(points=backbone.points, clutter=clutter)
 
     def load_start(self, option: str, weights: str | None) -> OmadNet | None:
         if weights is None:
             return None
         net = load(OmadNet, find_weights(weights))
-        if net.backbone.config != self.backbone():
+        if not self.backbone(net).takes_weights_of(net.backbone.config):
             raise InputError(f"{option} {weights}: is not of the size {self.size}; change --size")
         return net
+
+    def learn_baseline(
+        self, train: Callable[..., Network], settings: type[AncshTraining] | type[SiameseTraining]
+    ) -> Answer:
+        start = self.load_start("--initial", self.initial)
+        backbone = self.backbone(start)
+        return self.learn(train, settings(backbone=backbone, views=self.views(backbone)), initial=start)
 
     def record(self, schedule: Schedule) -> dict[str, Any]:
         return super().record(schedule) | begun_with("initial", self.initial, OmadNet)
@@ -231,8 +241,7 @@ class TrainAncsh(_NetTraining):
     """Train the baseline A-NCSH as OMADNet is trained: same views, backbone and schedule, but no prior."""
 
     def run(self) -> Answer:
-        settings = AncshTraining(backbone=self.backbone(), views=self.views())
-        return self.learn(train_ancsh, settings, initial=self.load_start("--initial", self.initial))
+        return self.learn_baseline(train_ancsh, AncshTraining)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -240,8 +249,7 @@ class TrainSiamese(_NetTraining):
     """Train the Siamese baseline of retrieval: same views, backbone and schedule as OMADNet, but no prior."""
 
     def run(self) -> Answer:
-        settings = SiameseTraining(backbone=self.backbone(), views=self.views())
-        return self.learn(train_siamese, settings, initial=self.load_start("--initial", self.initial))
+        return self.learn_baseline(train_siamese, SiameseTraining)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -263,9 +271,6 @@ class TrainNet(_NetTraining):
     off. The network learns which points are not on the object, and the estimator drops them."""
 
     def run(self) -> Answer:
-        weights = NetLossWeights(refinement=self.refinement_loss)
-        views = self.views(Clutter() if self.clutter else None)
-        preset = NetTraining(backbone=self.backbone(), weights=weights, attention=self.attention, views=views)
         if self.features is not None and self.initial is not None:
             raise InputError("--features: does not go with --initial, which takes over all; give one of them")
         begun = self.load_start("--features", self.features)
@@ -274,6 +279,9 @@ class TrainNet(_NetTraining):
             start, begun = None, start
         if start is not None:
             check_category("--initial", self.initial, start.category, self.category)
+        backbone, weights = self.backbone(start or begun), NetLossWeights(refinement=self.refinement_loss)
+        views = self.views(backbone, Clutter() if self.clutter else None)
+        preset = NetTraining(backbone=backbone, weights=weights, attention=self.attention, views=views)
         return self.learn(train_net, preset, priornet=self._prior(), initial=start, features=begun)
 
     def record(self, schedule: Schedule) -> dict[str, Any]:

@@ -155,7 +155,7 @@ def judged(measured: Sequence[Measured]) -> dict[str, Any] | None:
 def table(found: Mapping[str, list[Measured]], rows: Mapping[str, Row], category: Category) -> list[dict[str, Any]]:
     """The rows of the table as plain values: errors of all joints together (degrees where a key says so, else metres),
     shares of views, and of joints the shares whose truth lies in the 50 % and the 90 % interval. ``ratio``: the mean
-    error to that of the same views when clean."""
+    error to that of the same views when clean; ``trusted``: errors and ratio of the answers that are not flagged."""
     clean = {each.index: _relative(each.errors, category) for each in found[CLEAN]}
     made = []
     for name, measured in found.items():
@@ -164,8 +164,6 @@ def table(found: Mapping[str, list[Measured]], rows: Mapping[str, Row], category
         states = np.stack([each.errors.joint_state for each in measured])
         half = np.stack([each.half_widths for each in measured], 1)
         covered = (states <= half).mean((1, 2)).tolist()
-        relative = np.mean([_relative(each.errors, category) for each in measured])
-        turning = np.array(category.turning)
         flagged, wrong = (np.array([getattr(each, key) for each in measured]) for key in ("flagged", "wrong"))
         made.append(
             {
@@ -173,9 +171,8 @@ def table(found: Mapping[str, list[Measured]], rows: Mapping[str, Row], category
                 "what": rows[name].what,
                 "views": len(measured),
                 "missing": sum(each.errors.missing for each in measured),
-                "joint_state_error_deg": _spread(np.degrees(states[:, turning])),
-                "joint_state_error": _spread(states[:, ~turning]),
-                "ratio": float(relative / np.mean([clean[each.index] for each in measured])),
+                **_errors(measured, clean, category),
+                "trusted": _errors([each for each in measured if not each.flagged], clean, category),
                 **{f"covered_{level}": share for level, share in zip(LEVELS, covered, strict=True)},
                 "flagged": float(flagged.mean()),
                 "wrong": float(wrong.mean()),
@@ -214,6 +211,19 @@ def _view(scenes: Scenes, index: int, spoil: Spoil) -> View:
 def _relative(errors: PoseErrors, category: Category) -> float:
     """Joint state error as a share of what a missing answer counts, mean over joints."""
     return float((errors.joint_state / missing_errors(category).joint_state).mean())
+
+
+def _errors(measured: Sequence[Measured], clean: Mapping[int, float], category: Category) -> dict[str, Any]:
+    """Of all joints together, and their ``ratio`` to the ``clean`` views' errors; None where there is nothing."""
+    turning = np.array(category.turning)
+    states = np.array([each.errors.joint_state for each in measured]).reshape(-1, len(turning))
+    relative = sum(_relative(each.errors, category) for each in measured)
+    when_clean = sum(clean[each.index] for each in measured)
+    return {
+        "joint_state_error_deg": _spread(np.degrees(states[:, turning])),
+        "joint_state_error": _spread(states[:, ~turning]),
+        "ratio": relative / when_clean if measured else None,
+    }
 
 
 def _spread(errors: np.ndarray) -> dict[str, float] | None:

@@ -47,6 +47,10 @@ class BackboneConfig:
         """Features of the whole cloud."""
         raise NotImplementedError
 
+    def takes_weights_of(self, other: BackboneConfig) -> bool:
+        """Whether the weights of a backbone of these sizes and of the ``other`` are alike in shape and meaning."""
+        return self == other
+
     def build(self) -> Backbone:
         """A fresh backbone of these sizes."""
         raise NotImplementedError

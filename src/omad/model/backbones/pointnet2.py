@@ -108,6 +108,12 @@ class PointNet2Config(BackboneConfig):
     def pooled(self) -> int:
         return self.widths[2]
 
+    def takes_weights_of(self, other: BackboneConfig) -> bool:
+        """Also of one that looks at more or fewer points."""
+        if not isinstance(other, PointNet2Config):
+            return False
+        return (self.dense, self.widths) == (other.dense, other.widths)
+
     def build(self) -> PointNet2:
         return PointNet2(self)
 
