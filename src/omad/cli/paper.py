@@ -182,8 +182,8 @@ class EvalAblation:
         if self.features is not None:
             net = load(OmadNet, self.features)
             check_category("--features", self.features, net.category, self.category)
-            if net.backbone.config != NetTraining().backbone:
-                raise InputError(f"--features {self.features}: is not slim, as variants are; give one that is")
+            if not NetTraining().backbone.takes_weights_of(net.backbone.config):
+                raise InputError(f"--features {self.features}: has no weights for a slim network; give one that has")
         budget = (self.samples, self.data.seed, pick_device(self.device), self.features)
         for name in self.variants or ablation.TRAINED:
             ablation.train_variant(ablation.TRAINED[name], category, models, folder, name, *budget)

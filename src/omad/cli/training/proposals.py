@@ -72,6 +72,6 @@ class TrainProposals:
         else:
             return {}
         [(name, net)] = found.items()
-        if net.backbone.config != backbone:
-            raise InputError(f"--{name} {getattr(self, name)}: is of another size; give one of the size slim")
+        if not backbone.takes_weights_of(net.backbone.config):
+            raise InputError(f"--{name} {getattr(self, name)}: has no weights for a slim network; give one that has")
         return found
