@@ -38,7 +38,7 @@ with lazy_imports():
     from omad.evaluation.confidence import fitting
     from omad.evaluation.confidence.hands import fit_hand
     from omad.evaluation.confidence.surface_shares import follows_better, measured_shares
-    from omad.model.backbones import SLIM, BackboneConfig, get_backbone
+    from omad.model.backbones import BackboneConfig, get_backbone
     from omad.model.checkpoint import (
         Network,
         category_of,
@@ -201,9 +201,9 @@ class _NetTraining(_Training):
     takes twice as long; paper: the paper's PointNet++. Default: of what it starts from, or slim."""
 
     def backbone(self, start: OmadNet | None = None) -> BackboneConfig:
-        if self.size is not None:
-            return get_backbone(self.size)
-        return SLIM if start is None else start.backbone.config
+        if self.size is None and start is not None:
+            return start.backbone.config
+        return get_backbone(self.size or "slim")
 
     def views(self, backbone: BackboneConfig, clutter: Clutter | None = None) -> ViewSettings:
         """Of as many points as the backbone will be shown."""
