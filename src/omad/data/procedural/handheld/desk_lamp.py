@@ -7,14 +7,14 @@ import numpy as np
 from omad.geometry.mesh import Mesh, merge_meshes
 from omad.objects.category import Category
 
-from ..shapes import JointedParts, box, cylinder, loft, points, slab
+from ..shapes import JointedParts, box, cylinder, loft, slab
 from ..vocabulary.vessels import turned
 
 
 def generate(rng: np.random.Generator, category: Category, unusual: np.random.Generator | None) -> JointedParts:
     """One lamp at rest: the lower arm upright, the upper one level to the front, the head facing down. Its foot stands
     on y = 0, all of its joints are in the plane x = 0."""
-    high = rng.uniform(0.16, 0.36)
+    high = rng.uniform(0.17, 0.36)
     low = high * rng.uniform(1.0, 1.6)
     bar = rng.uniform(0.003, 0.011)
     joint = _Joint(bar, bar * rng.uniform(0.8, 1.6))
@@ -116,12 +116,5 @@ def _head(rng: np.random.Generator, joint: _Joint, forked: bool, at: np.ndarray,
     inside = [(r - wall, -tall * t - wall * (t == 0)) for r, t in zip(flare[::-1], s[::-1], strict=True)]
     shade = turned([*outside, *inside], 20).warped(lambda v: v + at - [0, drop, 0])
     bulb = turned([(0.008, -0.002), (0.02, -0.4 * tall), (0.026, -0.6 * tall), (0.012, -0.8 * tall)], 12)
-    ahead = rng.uniform(0.0, 0.5)  # how far it looks to the front
-    cos, sin = np.cos(ahead), np.sin(ahead)
-
-    def tip(vertices: np.ndarray) -> np.ndarray:
-        x, y, z = (vertices - at).T
-        return at + points(x, cos * y + sin * z, cos * z - sin * y)
-
     bulbs = [bulb.warped(lambda v: v + at - [0, drop, 0])] if cap > 0.022 and rng.random() < 0.6 else []
-    return [solid.warped(tip) for solid in (*neck, shade, *bulbs)]
+    return [*neck, shade, *bulbs]
