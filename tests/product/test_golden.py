@@ -34,7 +34,7 @@ LIMITS = {
     "drawer_5": (0.083, 1.4, None),
     "eyeglasses": (3.2, 2.7, 0.02),
     "laptop": (1.6, 1.4, 0.026),
-    "lidded_box": (2.2, 1.8, 0.046),
+    "lidded_box": (2.2, 1.7, 0.031),
     "microwave": (1.7, 1.2, 0.035),
     "oven": (3.2, 1.5, 0.05),
     "refrigerator": (2.0, 1.3, 0.032),
