@@ -12,7 +12,7 @@ from ..vocabulary.vessels import turned
 
 
 def generate(rng: np.random.Generator, category: Category, unusual: np.random.Generator | None) -> JointedParts:
-    """One lamp at rest: the lower arm upright, the upper one level to the front, the head facing down. Its foot stands
+    """One lamp at rest: the lower arm upright, the upper one level to the front, the head hanging down. Its foot stands
     on y = 0, all of its joints are in the plane x = 0."""
     high = rng.uniform(0.17, 0.36)
     low = high * rng.uniform(1.0, 1.6)
@@ -102,13 +102,13 @@ def _foot(rng: np.random.Generator, tall: float, bar: float) -> tuple[list[Mesh]
 
 
 def _head(rng: np.random.Generator, joint: _Joint, forked: bool, at: np.ndarray, high: float) -> list[Mesh]:
-    """A shade like a bell or a can that opens downwards, or a flat bar of lights to the front."""
+    """A shade like a bell or a can that opens downwards, or a flat bar of lights that hangs down."""
     drop = 1.6 * joint.radius + rng.uniform(0.0, 0.02)
     neck = joint.tongue(forked, at, at[1] - drop - 0.004)
     if rng.random() < 0.35:
         half, long, thick = rng.uniform(0.012, 0.05), rng.uniform(0.06, 0.2), rng.uniform(0.006, 0.02)
-        low = at + [-half, -drop - thick, -0.02]
-        return [*neck, slab(low, at + [half, -drop, long], 1, rng.uniform(0.0, 0.02), 0.2 * thick)]
+        low = at + [-half, -drop - long, -0.5 * thick]
+        return [*neck, slab(low, at + [half, -drop, 0.5 * thick], 2, rng.uniform(0.0, 0.02), 0.2 * thick)]
     radius, tall = high * rng.uniform(0.14, 0.3), high * rng.uniform(0.2, 0.4)
     cap, wall, s = radius * rng.uniform(0.3, 0.7), 0.002, np.linspace(0.0, 1.0, 6)
     flare = cap + (radius - cap) * s ** rng.uniform(0.4, 2.2)
