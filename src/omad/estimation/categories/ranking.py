@@ -28,11 +28,11 @@ from .late import AnyEstimator
 from .proposals import Proposals
 
 USUAL = Path(__file__).with_name("usual.json")
-LOG_ODDS = np.array([0.18, 3.3, 1.9, 5.1, 8.5, 3.3, 0.78, 4.8])
+LOG_ODDS = np.array([0.11, 2.8, 1, 5.8, 14, 3.4, 1.5, 6.4])
 """Per unit of what speaks ``against`` a category, in its order."""
-PROPOSED = 0.64
+PROPOSED = 0.7
 """Per unit of the look's log-odds of none over a category."""
-OFFSET = 2.2
+OFFSET = 1.9
 """Log-odds of a category over none where no more than usual speaks against it, and the look takes it for as likely."""
 SURE = 0.8
 """Probability from which on another category is suspected."""
