@@ -6,7 +6,7 @@ import pytest
 
 from omad.cli.training import networks
 from omad.common.errors import InputError
-from omad.model.backbones import BACKBONES, SLIM
+from omad.model.backbones import BACKBONES, SLIM, BackboneConfig
 from omad.model.checkpoint import save
 from omad.model.omadnet import OmadNet
 from omad.model.prior import OmadPrior
@@ -21,6 +21,7 @@ def test_views_have_as_many_points_as_the_backbone_is_shown(monkeypatch, command
     asked = []
     monkeypatch.setattr(networks._Training, "learn", lambda self, train, settings, **given: asked.append(settings))
     command(category="laptop", output=Path("run"), size=size).run()
+    assert isinstance(asked[0].backbone, BackboneConfig)  # no stand-in for one: a checkpoint's record copies it
     assert asked[0].views.points == asked[0].backbone.points == points
 
 
