@@ -6,7 +6,8 @@
 Where the first look finds other things than the object, all choices are labelled, and it is repeated without them.
 Where the last look is unsure, it may have begun the wrong way round: others begin in turned frames, the surest counts.
 
-Each look shows the network a few random choices of the points and averages what it says, by confidence.
+Each look shows the network a few random choices of the points, every second of them in a mirror where objects are
+their own mirror images, and averages what it says, by confidence.
 """
 
 from collections.abc import Callable, Sequence
@@ -30,6 +31,7 @@ from omad.model.fitting.leaning import leaning
 from omad.model.fitting.refinement import Refiner
 from omad.model.fitting.state import Refined, State, Targets
 from omad.model.inference.network import inference_net
+from omad.model.mirror import Mirror
 from omad.model.network_input import first_frame, to_input_frame
 from omad.model.omadnet import OmadNet
 from omad.model.posed_object import Poser
@@ -110,6 +112,8 @@ class Estimator:
         self.refine = refine
         self.confidence, self.surfaces = confidence, surfaces
         self.hand = () if confidence is None else confidence.hand
+        mirror = Mirror.of(net.category, net.tells_outside)
+        self._mirror = mirror and mirror.to(self.device)
         self._meter = Meter(net.category, net.prior)
         self._kept: dict[int, Refiner] = {}
 
@@ -287,7 +291,11 @@ class Estimator:
         """Run the network in ``frame`` (B, 4, 4) on all samples of each cloud and average its answers."""
         samples = clouds.shape[1]
         shown = to_input_frame(clouds.flatten(1, 2), frame).view(-1, *clouds.shape[2:])
-        said = self._forward(shown, labels)
+        if self._mirror is None:
+            said = self._forward(shown, labels)
+        else:
+            images = torch.arange(len(shown), device=shown.device) % samples % 2 == 1
+            said = self._mirror.back(self._forward(self._mirror.images(shown, images), labels), images)
         log_sigma = said.log_sigma
         if not self.config.confidence:
             log_sigma = log_sigma.mean(-1, keepdim=True).expand_as(log_sigma)

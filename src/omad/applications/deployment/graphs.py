@@ -20,6 +20,7 @@ from omad.common.files import write_atomic
 from omad.geometry.kinematics import joint_lines, part_transforms
 from omad.model.fitting.energy import keypoint_jacobian
 from omad.model.fitting.state import State
+from omad.model.mirror import Mirror
 from omad.model.omadnet import OmadNet
 from omad.model.prior import OmadPrior
 
@@ -28,17 +29,22 @@ MOST = 4096
 
 
 class NetworkGraph(nn.Module):
-    """``OmadNet`` without what surrounds its tensors."""
+    """``OmadNet`` without what surrounds its tensors; every second cloud is seen in a mirror where objects are their own
+    mirror images, as an estimator shows them."""
 
     names = ("beta", "T_input_base", "states", "keypoints", "log_sigma", "pooled", "part_logits")
 
     def __init__(self, net: OmadNet) -> None:
         super().__init__()
-        self.net = net
+        self.net, self.mirror = net, Mirror.of(net.category, net.tells_outside)
 
     def forward(self, points: Tensor) -> tuple[Tensor, ...]:
         """points (B, N, 3) in the input frame -> ``names``, as ``Prediction`` has them."""
-        said = self.net(points)
+        if self.mirror is None:
+            said = self.net(points)
+        else:
+            images = torch.arange(points.shape[0]) % 2 == 1
+            said = self.mirror.back(self.net(self.mirror.images(points, images)), images)
         return tuple(getattr(said, name) for name in self.names)
 
 
