@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 import omad
 from helpers.command_line import LAPTOP, answer, laptop_view
+from omad.cli.main import run
 from omad.geometry.rigid import carry, rigid
 from omad.output.formats import FORMATS, save_formats
 from omad.output.robots.robot import link_frames
@@ -138,3 +139,19 @@ def test_the_command_writes_in_the_world(tmp_path, monkeypatch, capsys):
     assert base["header"]["frame_id"] == "world"
     place = base["transform"]["translation"]
     assert np.allclose([place[axis] for axis in "xyz"], np.array(found["world"]["T_world_base"])[:3, 3])
+
+
+def test_a_camera_whose_place_may_be_in_millimetres_is_warned_of(tmp_path, monkeypatch, capsys):
+    """The answer is given all the same; a camera that is some metres from the origin needs no warning."""
+    monkeypatch.chdir(tmp_path)
+    np.save("depth.npy", laptop_view().depth)
+    told = {}
+    for name, unit in (("metres.txt", 1.0), ("millimetres.txt", 1000.0)):
+        T = T_WORLD_CAMERA.copy()
+        T[:3, 3] *= unit
+        np.savetxt(name, T)
+        assert run(["estimate", "depth.npy", *LAPTOP, "--intrinsics", "600,600,319.5,239.5", "--world", name]) == 0
+        told[name] = capsys.readouterr().err
+    assert "millimetres.txt" in told["millimetres.txt"]
+    assert "1000" in told["millimetres.txt"]
+    assert "warning" not in told["metres.txt"]

@@ -137,12 +137,12 @@ class EstimateCommand(CategoryCommand):
     def _poses(self, inputs: int) -> list[Any]:
         """T_world_camera of all inputs; of the one camera; or none. Raises InputError."""
         if not self.together:
-            return [] if self.world is None else [read_transform(self.world, "T_world_camera")]
+            return [] if self.world is None else [_pose(self.world)]
         if self.world is not None:
             raise InputError("--together: tells where the cameras are; leave out --world")
         if len(self.together) != inputs:
             raise InputError(f"--together: {len(self.together)} poses for {inputs} different inputs; give one for each")
-        return [read_transform(file, "T_world_camera") for file in self.together]
+        return [_pose(file) for file in self.together]
 
     def _finish(self, view: _Read, found: Found, T_world_camera: Any) -> dict[str, Any]:
         """Write the answer to one input; what is said of it."""
@@ -180,6 +180,14 @@ class EstimateCommand(CategoryCommand):
             print(f"{file}: {'doubtful; ' if found.doubtful else ''}check:", file=sys.stderr)
         for check in found.checks:
             print(f"  [ ] {check.name}: {check.what}\n      why: {check.why}\n      do:  {check.cure}", file=sys.stderr)
+
+
+def _pose(file: Path) -> Any:
+    """T_world_camera (4, 4), with a line on stderr where it seems to be in other units. Raises InputError."""
+    T_world_camera = read_transform(file, "T_world_camera")
+    for doubt in world.unit_doubts(T_world_camera):
+        print(f"omad: warning: {file}: {doubt}", file=sys.stderr)
+    return T_world_camera
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,6 +12,16 @@ from omad.sensing.reader import parse_numbers
 from .estimate import Estimate, plain
 from .known import Known
 
+FAR = 100.0
+"""Metres from the world's origin that no camera in a house is."""
+
+
+def unit_doubts(T_world_camera: np.ndarray) -> list[str]:
+    """What is strange about where a camera is, ``T_world_camera`` (4, 4)."""
+    away = float(np.linalg.norm(T_world_camera[:3, 3]))
+    cure = "translations are in metres: divide them by 1000 where these are millimetres"
+    return [f"the camera is {away:.0f} m from the world's origin; {cure}"] if away > FAR else []
+
 
 def in_world(estimate: Estimate, T_world_camera: np.ndarray) -> dict[str, Any]:
     """Poses, axes, pivots and keypoints of an estimate in the world frame, as plain values for JSON. ``T_world_camera``
