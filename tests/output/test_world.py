@@ -146,7 +146,7 @@ def test_a_camera_whose_place_may_be_in_millimetres_is_warned_of(tmp_path, monke
     monkeypatch.chdir(tmp_path)
     np.save("depth.npy", laptop_view().depth)
     told = {}
-    for name, unit in (("metres.txt", 1.0), ("millimetres.txt", 1000.0)):
+    for name, unit in (("metres.txt", 1.0), ("millimetres.txt", 200.0)):
         T = T_WORLD_CAMERA.copy()
         T[:3, 3] *= unit
         np.savetxt(name, T)

@@ -49,8 +49,9 @@ class Mirror:
         signs = (mirrored_axes(axes, category.turning) * axes[images]).sum(1)
         limits = np.array([joint.limits for joint in category.joints])
         moved = np.sort(signs[:, None] * limits[images], 1)
-        parents = [parts[joint.parent] == category.joints[i].parent for joint, i in zip(category.joints, images)]
-        if not (all(parents) and np.allclose(np.abs(signs), 1, atol=ALIKE) and np.allclose(moved, limits, atol=ALIKE)):
+        parents = np.array([joint.parent for joint in category.joints])
+        hang_alike = (np.array(parts)[parents] == parents[images]).all()
+        if not (hang_alike and np.allclose(np.abs(signs), 1, atol=ALIKE) and np.allclose(moved, limits, atol=ALIKE)):
             return None
         learned = mirror_map(category)
         partner = np.array(learned.source)

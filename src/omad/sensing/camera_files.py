@@ -136,11 +136,11 @@ def read_transform(source: str | Path, name: str) -> np.ndarray:
             raise ValueError("no 4x4 matrix that ends in 0 0 0 1")
         if not is_rotation(T[:3, :3]):
             raise ValueError("its 3x3 part is no rotation")
-        if np.abs(T).max() > FARTHEST:
-            raise ValueError("its places are too far away")
     except WRONG as error:
         cure = f"give 4x4 numbers, JSON with {name}, or rotation and translation as librealsense writes them"
         raise InputError(f"{path}: holds no {name}; {cure}") from error
+    if np.abs(T).max() > FARTHEST:
+        raise InputError(f"{path}: {name} goes farther than {FARTHEST:g} m; give its translation in metres")
     return T
 
 

@@ -29,8 +29,8 @@ MOST = 4096
 
 
 class NetworkGraph(nn.Module):
-    """``OmadNet`` without what surrounds its tensors; every second cloud is seen in a mirror where objects are their own
-    mirror images, as an estimator shows them."""
+    """``OmadNet`` without what surrounds its tensors. Every second cloud is seen in a mirror where objects are their
+    own mirror images, as an estimator shows them."""
 
     names = ("beta", "T_input_base", "states", "keypoints", "log_sigma", "pooled", "part_logits")
 
