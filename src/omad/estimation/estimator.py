@@ -31,7 +31,6 @@ from omad.model.fitting.leaning import leaning
 from omad.model.fitting.refinement import Refiner
 from omad.model.fitting.state import Refined, State, Targets
 from omad.model.inference.network import inference_net
-from omad.model.mirror import Mirror
 from omad.model.network_input import first_frame, to_input_frame
 from omad.model.omadnet import OmadNet
 from omad.model.posed_object import Poser
@@ -47,6 +46,7 @@ from .estimate import Estimate, PoseEstimate
 from .known import NOTHING_KNOWN, Known, Near
 from .looks.either_hand import surer_hands
 from .looks.look import Look, put_rows, rows_of
+from .looks.mirror import Mirror
 from .looks.shown import Shown, check_observations
 from .looks.turned import HALF_TURNS, UNSURE, surer
 from .several_views import Rig, one_answer

@@ -17,10 +17,10 @@ from torch import Tensor, nn
 
 from omad.common.errors import InputError
 from omad.common.files import write_atomic
+from omad.estimation.looks.mirror import Mirror
 from omad.geometry.kinematics import joint_lines, part_transforms
 from omad.model.fitting.energy import keypoint_jacobian
 from omad.model.fitting.state import State
-from omad.model.mirror import Mirror
 from omad.model.omadnet import OmadNet
 from omad.model.prior import OmadPrior
 

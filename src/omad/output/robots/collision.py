@@ -23,7 +23,7 @@ SLIVER = 1e-6
 """Of a part's box: pieces that are smaller are left out; simulators refuse bodies next to without volume."""
 PARALLEL = 0.99
 """Cosine between axes from which on they count as parallel."""
-SINGLE, DOUBLE = 241, 31
+SINGLE, DOUBLE = 241, 61
 """States of a joint that are tried: of a pair of parts that one joint moves, and of one that several move."""
 
 

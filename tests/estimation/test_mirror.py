@@ -10,8 +10,8 @@ import omad
 from helpers.categories import CATEGORIES
 from omad.data.procedural import generate
 from omad.data.rendering.standard_views import standard_view
+from omad.estimation.looks.mirror import Mirror
 from omad.geometry.transforms import invert_transform, make_transform, matrix_to_quaternion, so3_exp
-from omad.model.mirror import Mirror
 from omad.model.omadnet import Prediction
 from omad.model.prior import OmadPrior
 from omad.objects.category import Category

@@ -13,11 +13,10 @@ import torch
 from torch import Tensor
 
 from omad.geometry.transforms import MIRROR_X
+from omad.model.omadnet import Prediction
+from omad.model.prior import mirror_map
 from omad.objects.category import Category
 from omad.objects.pose import mirrored_axes
-
-from .omadnet import Prediction
-from .prior import mirror_map
 
 ALIKE = 1e-6
 """Axes and limits (radians or category units) that differ by less are the same."""
