@@ -27,7 +27,7 @@ def test_only_a_much_surer_one_stands_an_object_on_its_head(upright):
 def test_one_that_stands_counts_where_a_surer_one_is_on_its_head():
     found = UPRIGHT[None]
     standing = int(torch.nonzero((UPRIGHT @ HALF_TURNS)[:, 1, 1] < 0)[0, 0])
-    errors = torch.full((3,), 0.06)
-    errors[standing] = 0.07
+    errors = torch.full((3,), 0.08 * SURER)
+    errors[standing] = 0.09 * SURER
     better, best = surer(torch.tensor([0.1]), found, errors, (UPRIGHT @ HALF_TURNS))
     assert (better.tolist(), best.tolist()) == ([0], [standing])

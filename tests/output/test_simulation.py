@@ -5,6 +5,7 @@ default, are checked, too.
 """
 
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -31,6 +32,20 @@ def seen(name: str) -> tuple[omad.Observation, omad.Estimate]:
     return observation, omad.Estimator.from_pretrained(name, "cpu")(observation)
 
 
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    """Of a category, the estimate and the folder that it was exported to, once for all tests."""
+
+    @cache
+    def export(name: str) -> tuple[omad.Estimate, Path]:
+        observation, estimate = seen(name)
+        folder = tmp_path_factory.mktemp(name)
+        save_formats(estimate, observation, folder, ["mjcf", "urdf"])
+        return estimate, folder
+
+    return export
+
+
 def compiled(file, with_parents: bool, down: np.ndarray | None = None):
     """What was written, as MuJoCo has it."""
     spec = mujoco.MjSpec.from_file(str(file))
@@ -53,12 +68,11 @@ HERE = [pytest.param(name, marks=[] if name == "laptop" else pytest.mark.slow) f
 
 @pytest.mark.parametrize("name", HERE)
 @pytest.mark.parametrize("with_parents", [False, True], ids=["siblings", "parents"])
-def test_nothing_touches_and_nothing_moves_by_itself(name, with_parents, tmp_path):
-    observation, estimate = seen(name)
-    save_formats(estimate, observation, tmp_path, ["mjcf"])
+def test_nothing_touches_and_nothing_moves_by_itself(name, with_parents, written):
+    estimate, folder = written(name)
     rng = np.random.default_rng(1)
     for down in (None, rng.normal(size=3)):
-        model = compiled(tmp_path / "robot.xml", with_parents, None if down is None else down / np.linalg.norm(down))
+        model = compiled(folder / "robot.xml", with_parents, None if down is None else down / np.linalg.norm(down))
         data = mujoco.MjData(model)
         for states in some_states(model, estimate):
             mujoco.mj_resetData(model, data)
@@ -72,10 +86,9 @@ def test_nothing_touches_and_nothing_moves_by_itself(name, with_parents, tmp_pat
 
 
 @pytest.mark.parametrize("name", HERE)
-def test_bodies_of_the_urdf_do_not_touch(name, tmp_path):
-    observation, estimate = seen(name)
-    save_formats(estimate, observation, tmp_path, ["urdf"])
-    model = compiled(tmp_path / "robot.urdf", True)
+def test_bodies_of_the_urdf_do_not_touch(name, written):
+    estimate, folder = written(name)
+    model = compiled(folder / "robot.urdf", True)
     data = mujoco.MjData(model)
     assert (model.dof_frictionloss > 0).all()
     assert (model.dof_damping > 0).all()
@@ -85,10 +98,9 @@ def test_bodies_of_the_urdf_do_not_touch(name, tmp_path):
         assert data.ncon == 0
 
 
-def test_a_joint_gives_way_to_twice_what_holds_it(tmp_path):
-    observation, estimate = seen("laptop")
-    save_formats(estimate, observation, tmp_path, ["mjcf"])
-    model = compiled(tmp_path / "robot.xml", False)
+def test_a_joint_gives_way_to_twice_what_holds_it(written):
+    _, folder = written("laptop")
+    model = compiled(folder / "robot.xml", False)
     data = mujoco.MjData(model)
     for torque, moves in ((0.2, False), (4.0, True)):
         mujoco.mj_resetDataKeyframe(model, data, 0)
@@ -100,12 +112,11 @@ def test_a_joint_gives_way_to_twice_what_holds_it(tmp_path):
 
 
 @pytest.mark.parametrize("name", HERE)
-def test_pybullet_leaves_it_where_it_is(name, tmp_path):
+def test_pybullet_leaves_it_where_it_is(name, written):
     pybullet = pytest.importorskip("pybullet", reason="PyBullet is not installed")
-    observation, estimate = seen(name)
-    save_formats(estimate, observation, tmp_path, ["urdf"])
+    estimate, folder = written(name)
     client = pybullet.connect(pybullet.DIRECT)
-    body = pybullet.loadURDF(str(tmp_path / "robot.urdf"), useFixedBase=True, physicsClientId=client)
+    body = pybullet.loadURDF(str(folder / "robot.urdf"), useFixedBase=True, physicsClientId=client)
     pybullet.setGravity(0, 9.81, 0, physicsClientId=client)
     joints = [pybullet.getJointInfo(body, j, client) for j in range(pybullet.getNumJoints(body, client))]
     moving = [info for info in joints if info[2] != pybullet.JOINT_FIXED]

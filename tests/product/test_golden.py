@@ -41,7 +41,7 @@ LIMITS = {
     "pliers": (1.9, 0.9, 0.019),
     "refrigerator": (2.0, 1.3, 0.031),
     "refrigerator_two_doors": (3.6, 1.4, 0.021),
-    "safe": (2.2, 1.1, 0.042),
+    "safe": (2.0, 1.1, 0.034),
     "scissors": (3.8, 1.9, 0.02),
     "stapler": (2.8, 1.5, 0.054),
     "suitcase": (2.2, 1.3, 0.026),

@@ -8,9 +8,9 @@ from omad.geometry.transforms import quarter_turns
 UNSURE = 0.08
 """Expected keypoint error (geometric mean, category units; 0.03 is usual) above which an object is looked at in turned
 frames, too."""
-SURER = 0.75
+SURER = 0.5
 """The error that another answer expects must be so many times smaller to take its place ..."""
-SURER_INVERTED = 0.5
+SURER_INVERTED = 0.33
 """... and so many times, where it stands on its head in the image and the other does not. Much that stands looks alike
 on its head."""
 HALF_TURNS = quarter_turns()[3:6]

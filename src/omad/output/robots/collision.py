@@ -1,14 +1,18 @@
 """Bodies for simulators: each part as several convex ones, hollow where the part is, and none touching another part's
 in any state."""
 
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
 from itertools import combinations
+from typing import Self
 
 import numpy as np
 import torch
 
 from omad.geometry.convex import ConvexBody, convex_bodies, overlap
 from omad.geometry.kinematics import part_transforms
-from omad.geometry.rigid import box
+from omad.geometry.rigid import box, carry
 from omad.objects.model import ObjectModel
 
 GAP = 0.002
@@ -40,10 +44,9 @@ def collision_bodies(model: ObjectModel) -> list[list[ConvexBody]]:
         if direction is not None:
             for side in (first, second):
                 bodies[side] = _sliced(bodies[side])
-            for T in places:
-                _stack(bodies[first], bodies[second], T, direction, GAP * size)
-        for T in places:
-            _part(bodies[first], bodies[second], T, GAP * size)
+            make_room = partial(_stack, direction=direction)
+            _clear(bodies[first], bodies[second], places, GAP * size, make_room)
+        _clear(bodies[first], bodies[second], places, GAP * size, _part)
     return [_without_slivers(each) for each in bodies]
 
 
@@ -107,34 +110,79 @@ def _without_slivers(bodies: list[ConvexBody]) -> list[ConvexBody]:
     return [body for body in bodies if body.volume > SLIVER * float(np.prod(high - low))]
 
 
-def _near(first: list[ConvexBody], second: list[ConvexBody], gap: float) -> list[list[int]]:
-    """Pairs of bodies whose boxes come nearer than ``gap``."""
-    boxes = [np.array([body.box for body in bodies]).reshape(-1, 2, 3) for bodies in (first, second)]
-    one, other = boxes[0][:, None], boxes[1][None]
-    return np.argwhere(((one[:, :, 0] < other[:, :, 1] + gap) & (other[:, :, 0] < one[:, :, 1] + gap)).all(2)).tolist()
+def _clear(
+    first: list[ConvexBody], second: list[ConvexBody], places: np.ndarray, gap: float, make_room: Callable[..., bool]
+) -> None:
+    """Let ``make_room`` cut bodies of two parts back at each of the second part's places (S, 4, 4) in the first one's
+    frame. It is given the pairs whose boxes come nearer than ``gap``, and tells whether it cut anything."""
+    one, other = _Boxes.of(first), _Boxes.of(second)
+    for T in places:
+        low, high = other.at(T)
+        apart = (one.low[:, None] >= high + gap) | (low >= one.high[:, None] + gap)
+        pairs = np.argwhere(~apart.any(2)).tolist()
+        if pairs and make_room(first, second, T, gap, pairs):
+            one, other = _Boxes.of(first), _Boxes.of(second)
 
 
-def _stack(first: list[ConvexBody], second: list[ConvexBody], T: np.ndarray, direction: np.ndarray, gap: float) -> None:
+@dataclass(frozen=True)
+class _Boxes:
+    """The boxes of one part's B bodies."""
+
+    points: np.ndarray
+    """(V, 3) vertices of all bodies."""
+    starts: np.ndarray
+    """(B,) where each one's begin."""
+    low: np.ndarray
+    """(B, 3)."""
+    high: np.ndarray
+    """(B, 3)."""
+
+    @classmethod
+    def of(cls, bodies: list[ConvexBody]) -> Self:
+        counts = [len(body.vertices) for body in bodies]
+        points = np.concatenate([np.zeros((0, 3)), *(body.vertices for body in bodies)])
+        starts = np.cumsum([0, *counts[:-1]])[: len(bodies)]
+        return cls(points, starts, *_ends(points, starts))
+
+    def at(self, T: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Low and high corners (B, 3) of the boxes of the bodies moved by T (4, 4)."""
+        return _ends(carry(T, self.points), self.starts)
+
+
+def _ends(points: np.ndarray, starts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    if not len(starts):
+        return np.zeros((0, 3)), np.zeros((0, 3))
+    return np.minimum.reduceat(points, starts), np.maximum.reduceat(points, starts)
+
+
+def _stack(
+    first: list[ConvexBody], second: list[ConvexBody], T: np.ndarray, gap: float, pairs: list[list[int]],
+    direction: np.ndarray,
+) -> bool:  # fmt: skip
     """Where bodies of two parts overlap with the second part at T (4, 4) in the first one's frame, leave those of the
     first what is below the middle of both along ``direction`` (3,), and those of the second what is above."""
-    moved, back = [body.carried(T) for body in second], np.linalg.inv(T)
-    for i, j in _near(first, moved, gap):
+    moved = {j: second[j].carried(T) for j in {j for _, j in pairs}}
+    back, cut = np.linalg.inv(T), False
+    for i, j in pairs:
         if overlap(first[i], moved[j], gap) is None:
             continue
         heights = first[i].vertices @ direction, moved[j].vertices @ direction
         middle = (max(h.min() for h in heights) + min(h.max() for h in heights)) / 2
         below, above = first[i].cut(-direction, gap / 2 - middle), moved[j].cut(direction, middle + gap / 2)
         if below is not None and above is not None:
-            first[i], moved[j], second[j] = below, above, above.carried(back)
+            first[i], moved[j], second[j], cut = below, above, above.carried(back), True
+    return cut
 
 
-def _part(first: list[ConvexBody], second: list[ConvexBody], T: np.ndarray, gap: float) -> None:
+def _part(first: list[ConvexBody], second: list[ConvexBody], T: np.ndarray, gap: float, pairs: list[list[int]]) -> bool:
     """Cut bodies of two parts back where they overlap with the second part at T (4, 4) in the first one's frame."""
-    moved = [body.carried(T) for body in second]
+    moved = {j: second[j].carried(T) for j in {j for _, j in pairs}}
     gone: tuple[set[int], set[int]] = set(), set()
-    for i, j in _near(first, moved, gap):
+    cut = False
+    for i, j in pairs:
         if i in gone[0] or j in gone[1] or (found := overlap(first[i], moved[j], gap)) is None:
             continue
+        cut = True
         if found.cut_second:
             left = moved[j].cut(found.normal, found.first_end + gap)
             if left is None:
@@ -149,3 +197,4 @@ def _part(first: list[ConvexBody], second: list[ConvexBody], T: np.ndarray, gap:
                 first[i] = left
     for bodies, lost in zip((first, second), gone, strict=True):
         bodies[:] = [body for index, body in enumerate(bodies) if index not in lost]
+    return cut
