@@ -1,13 +1,8 @@
 """Commands that are killed at any moment and run again: what must come out, and what must not be left behind."""
 
-import contextlib
 import hashlib
 import json
-import os
 import shutil
-import signal
-import subprocess
-import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +14,7 @@ from omad.model.checkpoint import WEIGHTS
 
 from .command_line import K, laptop_view, save_png
 from .own_models import write_microwaves
+from .warm import Command
 
 SPEC = str(Path(__file__).parents[2] / "docs" / "categories" / "microwave.toml")
 LAPTOP = ["--category", "laptop"]
@@ -89,27 +85,25 @@ def lay_out(drill: Drill) -> None:
             shutil.copy(WEIGHTS / "laptop" / name, Path("out", name))
 
 
-def begin(drill: Drill) -> subprocess.Popen[str]:
-    """The command in a process of its own."""
+def begin(drill: Drill, largest: int | None = None) -> Command:
+    """The command in a process of its own, whose files may have ``largest`` bytes at most."""
     lay_out(drill)
-    command = [sys.executable, "-m", "omad", *drill.arguments]
-    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True)
+    return Command(drill.arguments, largest)
 
 
 def kill_and_finish(drill: Drill, kills: int, seed: int) -> list[str]:
     """What is wrong after so many kills at any moment, and a run that is left alone."""
     began = time.monotonic()
-    _end(begin(drill))
+    begin(drill).end()
     lasts, whole = time.monotonic() - began, written(Path("out"))
     Path("out").rename("whole")
     rng, wrong = np.random.default_rng(seed), list[str]()
     for share in rng.uniform(0.1, 1.0, kills):
         process = begin(drill)
         time.sleep(float(share) * lasts)
-        with contextlib.suppress(ProcessLookupError):
-            os.killpg(process.pid, signal.SIGKILL)
-        process.communicate()
-    code, err = _end(begin(drill))
+        process.kill()
+        process.end()
+    code, err = begin(drill).end()
     done = "is there already" in err  # the kill came when all was done, and what is done is not done again
     if (code and not done) or "Traceback" in err:
         wrong.append(f"exit code {code}: {err[-300:]}")
@@ -120,11 +114,6 @@ def kill_and_finish(drill: Drill, kills: int, seed: int) -> list[str]:
         wrong.append(f"other content: {other}")
     wrong += [f"left behind: {path}" for path in Path().rglob(".omad-*") if path.is_file()]
     return wrong
-
-
-def _end(process: subprocess.Popen[str]) -> tuple[int, str]:
-    _, err = process.communicate(timeout=600)
-    return process.returncode, err
 
 
 def written(folder: Path) -> dict[str, str]:

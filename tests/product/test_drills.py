@@ -2,8 +2,6 @@
 ``python benchmarks/kill_drill.py`` does so for all commands together."""
 
 import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -13,12 +11,8 @@ from helpers.drills import DRILLS, Drill, begin, kill_and_finish, lay_out, prepa
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(os.name == "nt", reason="limits and signals as POSIX has them")]
 KILLS = int(os.environ.get("OMAD_KILLS", "2"))
-LIMITED = """
-import resource, sys
-resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv.pop(1)),) * 2)
-from omad.__main__ import main
-main()
-"""
+SMALL = 200
+"""Bytes, which no file may exceed where the disk is full."""
 KNOWN = {drill.name: drill for drill in DRILLS}
 KILLED = [name for name in KNOWN if name != "train confidence"]
 """That one takes minutes: benchmarks/kill_drill.py has it."""
@@ -40,7 +34,7 @@ def test_what_was_killed_is_done_by_the_next_run(name):
 def test_a_full_disk_is_one_line(drill):
     lay_out(drill)
     before = {path: path.read_bytes() for path in Path("out").rglob("*") if path.name in drill.begun}
-    code, err = on_a_full_disk(drill)
+    code, err = begin(drill, SMALL).end()
     said = [line for line in err.splitlines() if line.startswith("omad: ") and "compiling" not in line]
     assert code == 1, err
     assert "Traceback" not in err
@@ -52,26 +46,19 @@ def test_a_full_disk_is_one_line(drill):
 
 def test_a_full_disk_leaves_a_trainings_state():
     train = KNOWN["train prior"]
-    begin(train).communicate(timeout=600)
+    begin(train).end()
     before = Path("out/state.pt").read_bytes()
-    assert on_a_full_disk(train)[0] == 1
+    assert begin(train, SMALL).end()[0] == 1
     assert Path("out/state.pt").read_bytes() == before
 
 
 def test_many_at_a_time_write_what_one_writes():
     """Six processes in one folder, which all compile, sweep and write the same files."""
     alone = Drill("render", [*KNOWN["render"].arguments[:-1], "alone"])
-    assert begin(alone).wait(600) == 0
+    assert begin(alone).end()[0] == 0
     running = [begin(KNOWN["render"]) for _ in range(6)]
-    ended = [(process.communicate(timeout=600)[1], process.returncode) for process in running]
-    assert all("Traceback" not in err for err, _ in ended), ended
-    assert begin(KNOWN["render"]).wait(600) == 0
+    ended = [process.end() for process in running]
+    assert all("Traceback" not in err for _, err in ended), ended
+    assert begin(KNOWN["render"]).end()[0] == 0
     assert written(Path("out")) == written(Path("alone"))
     assert not list(Path().rglob(".omad-*"))
-
-
-def on_a_full_disk(drill: Drill) -> tuple[int, str]:
-    """Exit code and stderr where no file may be larger than 200 bytes."""
-    command = [sys.executable, "-c", LIMITED, "200", *drill.arguments]
-    process = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
-    return process.returncode, process.stderr

@@ -104,6 +104,7 @@ def _import_all(
                 record.drop(name)
                 if file.parent.is_symlink():
                     raise InputError(f"{file.parent}: leads out of the folder; remove it")
+                record.write({})  # before the first file, so that whatever kills it leaves a folder that goes on
                 write_urdf(found.model, file)
                 record.add(name, stamp, found, [file, *mesh_files(found.model, file)])
             models.append(read_urdf(file, category))

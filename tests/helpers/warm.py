@@ -1,0 +1,58 @@
+"""Commands in processes of their own that are forked from one which has imported what is slow to import: they begin
+after a tenth of a second, so that what a drill does to them it does to their work."""
+
+import contextlib
+import multiprocessing
+import os
+import resource
+import signal
+import sys
+from multiprocessing.connection import Connection, wait
+
+WARM = multiprocessing.get_context("forkserver")
+WARM.set_forkserver_preload(
+    ["torch._dynamo", "torch.utils.tensorboard", "matplotlib.pyplot", "omad.cli.main", "omad.data.training_views"]
+    + ["omad.estimation.estimator", "omad.evaluation.confidence", "omad.training.train_net"]
+)
+
+
+class Command:
+    """``omad ARGUMENTS`` in the folder at hand, at the head of a process group. None of its files may be larger than
+    ``largest`` bytes."""
+
+    def __init__(self, arguments: list[str], largest: int | None = None) -> None:
+        self._said, said = WARM.Pipe(duplex=False)
+        self._process = WARM.Process(target=_run, args=(arguments, os.getcwd(), dict(os.environ), said, largest))
+        self._process.start()
+        said.close()
+
+    def kill(self) -> None:
+        """It and its helpers, at once."""
+        for kill in (os.killpg, os.kill):  # it may not be the head of a group yet
+            with contextlib.suppress(ProcessLookupError):
+                kill(self._process.pid or 0, signal.SIGKILL)
+
+    def end(self, seconds: float = 600.0) -> tuple[int, str]:
+        """Its exit code, and what it said."""
+        said = b""
+        while wait([self._said], seconds) and (more := os.read(self._said.fileno(), 4096)):
+            said += more
+        self._process.join(seconds)
+        assert self._process.exitcode is not None, f"still at work after {seconds} seconds"
+        return self._process.exitcode, said.decode()
+
+
+def _run(arguments: list[str], folder: str, environment: dict[str, str], said: Connection, largest: int | None) -> None:
+    os.setsid()
+    os.chdir(folder)
+    os.environ.update(environment)
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+    os.dup2(said.fileno(), 2)
+    said.close()
+    sys.stdout, sys.stderr = open(1, "w", closefd=False), open(2, "w", buffering=1, closefd=False)
+    if largest is not None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (largest, largest))
+    sys.argv = ["omad", *arguments]
+    from omad.__main__ import main
+
+    main()
