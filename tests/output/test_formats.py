@@ -31,7 +31,7 @@ from omad.output.formats import NEED
 from omad.output.gltf import save_glb
 from omad.output.ply import part_surfaces, save_ply
 from omad.output.rerun import save_rrd
-from omad.output.robots.robot import link_frames
+from omad.output.robots.robot import Robot, link_frames
 from omad.output.robots.urdf import save_robot
 from omad.output.ros import ros_messages
 
@@ -95,7 +95,7 @@ def estimate(request) -> Estimate:
 
 @pytest.fixture
 def robot(estimate, tmp_path) -> yourdfpy.URDF:
-    save_robot(estimate, tmp_path / "robot.urdf")
+    save_robot(Robot.of(estimate, "robot"), tmp_path / "robot.urdf")
     robot = yourdfpy.URDF.load(str(tmp_path / "robot.urdf"))
     robot.update_cfg(json.loads((tmp_path / "robot-joints.json").read_text()))
     return robot
@@ -148,7 +148,7 @@ def test_yourdfpy_shows_links_where_they_were_seen(estimate, robot):
 
 def test_pybullet_shows_links_where_they_were_seen(estimate, tmp_path):
     pybullet = pytest.importorskip("pybullet", reason="PyBullet is not installed")
-    save_robot(estimate, tmp_path / "robot.urdf")
+    save_robot(Robot.of(estimate, "robot"), tmp_path / "robot.urdf")
     client = pybullet.connect(pybullet.DIRECT)
     body = pybullet.loadURDF(str(tmp_path / "robot.urdf"), useFixedBase=True, physicsClientId=client)
     states = json.loads((tmp_path / "robot-joints.json").read_text())

@@ -18,7 +18,7 @@ from omad.objects.urdf import write_urdf
 from omad.output.gltf import save_glb
 from omad.output.page import page_data
 from omad.output.robots.mjcf import save_mjcf
-from omad.output.robots.robot import link_frames
+from omad.output.robots.robot import Robot, link_frames
 from omad.output.robots.urdf import save_robot
 from omad.output.robots.usd import save_usd
 from omad.output.ros import ros_messages
@@ -129,7 +129,7 @@ def test_every_format_says_what_it_can(estimate, spec, tmp_path):
     np.testing.assert_allclose(lift, JAR_PITCH / 2 * estimate.canonical_axes[0], atol=1e-6)
     messages = ros_messages(estimate)
     assert messages["joint_state"]["position"] == [pytest.approx(np.pi)]
-    save_robot(estimate, tmp_path / "robot.urdf")
+    save_robot(Robot.of(estimate, "robot"), tmp_path / "robot.urdf")
     robot = yourdfpy.URDF.load(tmp_path / "robot.urdf", load_meshes=False)
     robot.update_cfg({"lid_joint": np.pi})
     T = robot.get_transform("lid", "camera_optical_frame")
@@ -141,7 +141,7 @@ def test_every_format_says_what_it_can(estimate, spec, tmp_path):
 @pytest.mark.slow
 def test_mujoco_turns_and_lifts_the_lid_at_once(estimate, tmp_path):
     mujoco = pytest.importorskip("mujoco", reason="MuJoCo is an extra: pip install 'omad[mujoco]'")
-    save_mjcf(estimate, tmp_path / "robot.xml")
+    save_mjcf(Robot.of(estimate, "robot"), tmp_path / "robot.xml")
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "robot.xml"))
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)
@@ -165,7 +165,7 @@ def test_mujoco_turns_and_lifts_the_lid_at_once(estimate, tmp_path):
 def test_usd_knows_no_screw(estimate, tmp_path):
     pytest.importorskip("pxr", reason="OpenUSD is an extra: pip install 'omad[usd]'")
     with pytest.raises(omad.InputError, match="format usd: lid_joint turns and slides"):
-        save_usd(estimate, tmp_path / "robot.usda")
+        save_usd(Robot.of(estimate, "robot"), tmp_path / "robot.usda")
 
 
 @pytest.mark.slow

@@ -204,8 +204,8 @@ def test_an_export_format_is_a_file_and_an_entry(walk):
         "    write_text(path, '\\n'.join(','.join(map(str, point)) for point in estimate.keypoints))\n",
     )
     walk.change(table, where="from .gltf import save_glb\n", after="from .csv import save_csv\n")
-    entry = 'lambda estimate, seen, folder, frame: save_csv(estimate, folder / "keypoints.csv")'
-    where = "FORMATS: dict[str, Callable[[Estimate, Observation, Path, Frame], object]] = {\n"
+    entry = 'lambda export, folder: save_csv(export.estimate, folder / "keypoints.csv")'
+    where = "FORMATS: dict[str, Callable[[Export, Path], object]] = {\n"
     walk.change(table, where=where, after=f'    "csv": {entry},\n')
     np.save(walk.folder / "cloud.npy", cloud())
     walk.omad("estimate", "cloud.npy", "--category", "laptop", "--formats", "csv")

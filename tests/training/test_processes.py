@@ -236,7 +236,7 @@ def test_the_network_learns_with_two_processes_as_with_one(tmp_path, monkeypatch
     deviations of a difference, which are taken for 0.05 at least, as three seeds may agree by chance."""
     monkeypatch.chdir(tmp_path)
     common = ["--category", "laptop", "--objects", "4", "--threads", "1", "--device", "cpu"]
-    net = [*common, "--steps", "80", "--batch", "16"]
+    net = [*common, "--steps", "80", "--batch", "8"]
 
     def ran(*words: str) -> None:
         done = subprocess.run(

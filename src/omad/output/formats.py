@@ -1,6 +1,8 @@
 """All formats by their names, as the command line asks for them. A new one is a file and an entry here."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -16,20 +18,36 @@ from .gltf import save_glb
 from .ply import save_ply
 from .rerun import save_rrd
 from .robots.mjcf import save_mjcf
+from .robots.robot import Robot
 from .robots.urdf import save_robot
 from .robots.usd import save_usd
 from .ros import ros_messages
 
-FORMATS: dict[str, Callable[[Estimate, Observation, Path, Frame], object]] = {
-    "urdf": lambda estimate, seen, folder, frame: save_robot(estimate, folder / "robot.urdf", seen, frame),
-    "mjcf": lambda estimate, seen, folder, frame: save_mjcf(estimate, folder / "robot.xml", seen, frame),
-    "usd": lambda estimate, seen, folder, frame: save_usd(estimate, folder / "robot.usda", seen, frame),
-    "ply": lambda estimate, seen, folder, frame: save_ply(estimate, folder, seen, frame),
-    "glb": lambda estimate, seen, folder, frame: save_glb(estimate, folder / "object.glb", seen, frame),
-    "ros": lambda estimate, _, folder, frame: write_json(folder / "ros.json", ros_messages(estimate, 0, frame), 1),
-    "rrd": lambda estimate, seen, folder, frame: save_rrd(estimate, folder / "object.rrd", seen, frame),
+
+@dataclass(frozen=True)
+class Export:
+    """What is written: an estimate, in a frame, and what it was made from."""
+
+    estimate: Estimate
+    seen: Observation
+    frame: Frame
+
+    @cached_property
+    def robot(self) -> Robot:
+        """As simulators take it; its bodies are worked out once for all formats."""
+        return Robot.of(self.estimate, "robot", self.seen, self.frame)
+
+
+FORMATS: dict[str, Callable[[Export, Path], object]] = {
+    "urdf": lambda export, folder: save_robot(export.robot, folder / "robot.urdf"),
+    "mjcf": lambda export, folder: save_mjcf(export.robot, folder / "robot.xml"),
+    "usd": lambda export, folder: save_usd(export.robot, folder / "robot.usda"),
+    "ply": lambda export, folder: save_ply(export.estimate, folder, export.seen, export.frame),
+    "glb": lambda export, folder: save_glb(export.estimate, folder / "object.glb", export.seen, export.frame),
+    "ros": lambda export, folder: write_json(folder / "ros.json", ros_messages(export.estimate, 0, export.frame), 1),
+    "rrd": lambda export, folder: save_rrd(export.estimate, folder / "object.rrd", export.seen, export.frame),
 }
-"""Each writes an estimate, and what it was made from, into a folder, in a frame."""
+"""Each writes into a folder."""
 NEED = {"mjcf": ("mujoco", "mujoco"), "usd": ("pxr", "usd"), "rrd": ("rerun", "rerun")}
 """Of formats that another package writes, its name and the extra's."""
 
@@ -54,5 +72,6 @@ def save_formats(
     parts, ``object.glb``, ``ros.json``, ``object.rrd``; in the camera frame, or in the world, z up, where the camera's
     pose (4, 4) in it is given. Raises InputError."""
     check_formats(formats)
+    export = Export(estimate, observation, Frame.of(T_world_camera))
     for name in formats:
-        FORMATS[name](estimate, observation, Path(folder), Frame.of(T_world_camera))
+        FORMATS[name](export, Path(folder))

@@ -9,13 +9,10 @@ from scipy.spatial.transform import Rotation
 
 from omad.common.errors import InputError
 from omad.common.files import write_text
-from omad.estimation.estimate import Estimate
 from omad.geometry.joint_kinds import elementary
 from omad.geometry.mesh import Mesh
 from omad.objects.urdf import COUPLED
-from omad.sensing.observation import Observation
 
-from ..frame import CAMERA, Frame
 from ..picture import part_colours
 from .robot import GRAVITY, Robot
 
@@ -25,17 +22,14 @@ STIFF = [0.9999, 0.9999, 0.001, 0.5, 2.0]
 """MuJoCo's ``solimpfriction``: joints hardly creep."""
 
 
-def save_mjcf(
-    estimate: Estimate, path: str | Path, observation: Observation | None = None, frame: Frame = CAMERA
-) -> None:
-    """Write ``path`` (.xml). The worldbody is ``frame``, the base is fast in it. Zero is the rest state; the keyframe
-    ``estimate`` has the estimated states. Raises InputError where MuJoCo is not installed."""
+def save_mjcf(robot: Robot, path: str | Path) -> None:
+    """Write ``path`` (.xml). The worldbody is ``robot.root``, the base is fast in it. Zero is the rest state; the
+    keyframe ``estimate`` has the estimated states. Raises InputError where MuJoCo is not installed."""
     try:
         mujoco: Any = import_module("mujoco")
     except ImportError as error:
         raise InputError("format mjcf needs MuJoCo, which is not installed; pip install 'omad[mujoco]'") from error
-    path = Path(path)
-    write_text(path, _spec(mujoco, Robot.of(estimate, path.stem, observation, frame)).to_xml())
+    write_text(Path(path), _spec(mujoco, robot).to_xml())
 
 
 def _spec(mujoco: Any, robot: Robot) -> Any:

@@ -58,8 +58,6 @@ class Robot:
 
     model: ObjectModel
     """Surfaces and joints, canonical space at rest."""
-    bodies: tuple[tuple[Mesh, ...], ...]
-    """Convex ones of each part, canonical space at rest."""
     states: np.ndarray
     """(J,) estimated."""
     root: Frame
@@ -70,8 +68,12 @@ class Robot:
     def of(cls, estimate: Estimate, name: str, observation: Observation | None = None, frame: Frame = CAMERA) -> Robot:
         """What was estimated, in ``frame``."""
         model = replace(estimate.object_model(name), parts=tuple(part_surfaces(estimate, observation)))
-        bodies = tuple(tuple(body.mesh for body in of_part) for of_part in collision_bodies(model))
-        return cls(model, bodies, estimate.joint_states, frame, frame.T_frame_camera @ link_frames(estimate))
+        return cls(model, estimate.joint_states, frame, frame.T_frame_camera @ link_frames(estimate))
+
+    @cached_property
+    def bodies(self) -> tuple[tuple[Mesh, ...], ...]:
+        """Convex ones of each part, canonical space at rest."""
+        return tuple(tuple(body.mesh for body in of_part) for of_part in collision_bodies(self.model))
 
     @cached_property
     def places(self) -> np.ndarray:

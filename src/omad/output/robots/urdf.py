@@ -6,23 +6,16 @@ from xml.etree.ElementTree import Element, SubElement
 from scipy.spatial.transform import Rotation
 
 from omad.common.files import write_json, write_text
-from omad.estimation.estimate import Estimate
 from omad.objects.urdf import urdf_numbers, urdf_robot, xml_text
-from omad.sensing.observation import Observation
 
-from ..frame import CAMERA, Frame
 from .robot import Robot, Solid
 
 
-def save_robot(
-    estimate: Estimate, path: str | Path, observation: Observation | None = None, frame: Frame = CAMERA
-) -> None:
+def save_robot(robot: Robot, path: str | Path) -> None:
     """Write ``path`` (.urdf), meshes beside it and ``<stem>-joints.json``, ``{joint name: state}``. The root link is
-    ``frame``'s, a fixed joint puts the object where it was seen. Zero is the rest state, as limits refer to it: set
-    the joints from the JSON file to see the estimate."""
-    path = Path(path)
-    robot = Robot.of(estimate, path.stem, observation, frame)
-    model = robot.model
+    ``robot.root``'s, a fixed joint puts the object where it was seen. Zero is the rest state, as limits refer to it:
+    set the joints from the JSON file to see the estimate."""
+    path, model = Path(path), robot.model
     root = urdf_robot(model, path, robot.bodies)
     solids = dict(zip(model.part_names, robot.solids, strict=True))
     for link in root.findall("link"):
@@ -31,15 +24,16 @@ def save_robot(
     for joint in root.findall("joint"):
         if (forces := held.get(joint.get("name", ""))) is not None:
             SubElement(joint, "dynamics", damping=repr(float(forces[0])), friction=repr(float(forces[1])))
-    root.insert(0, Element("link", name=frame.name))
-    fixed = SubElement(root, "joint", name=f"{frame.name}_to_{model.part_names[0]}", type="fixed")
-    SubElement(fixed, "parent", link=frame.name)
+    root.insert(0, Element("link", name=robot.root.name))
+    fixed = SubElement(root, "joint", name=f"{robot.root.name}_to_{model.part_names[0]}", type="fixed")
+    SubElement(fixed, "parent", link=robot.root.name)
     SubElement(fixed, "child", link=model.part_names[0])
     T = robot.T_root_link[0]
     angles = Rotation.from_matrix(T[:3, :3]).as_euler("xyz")
     SubElement(fixed, "origin", xyz=urdf_numbers(T[:3, 3]), rpy=urdf_numbers(angles))
     write_text(path, xml_text(root))
-    write_json(path.with_name(f"{path.stem}-joints.json"), {j.name: j.state for j in estimate.joints}, indent=1)
+    states = dict(zip(model.joint_names, robot.states.tolist(), strict=True))
+    write_json(path.with_name(f"{path.stem}-joints.json"), states, indent=1)
 
 
 def _inertial(solid: Solid) -> Element:

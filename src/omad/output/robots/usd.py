@@ -10,12 +10,9 @@ from scipy.spatial.transform import Rotation
 
 from omad.common.errors import InputError
 from omad.common.files import write_text
-from omad.estimation.estimate import Estimate
 from omad.geometry.joint_kinds import elementary
 from omad.geometry.mesh import Mesh
-from omad.sensing.observation import Observation
 
-from ..frame import CAMERA, Frame
 from ..picture import part_colours
 from .robot import GRAVITY, Robot, Solid
 
@@ -23,22 +20,20 @@ CREEP = 1e-3
 """Radians or metres per second at which a joint's drive brakes with its whole friction: USD knows no other."""
 
 
-def save_usd(
-    estimate: Estimate, path: str | Path, observation: Observation | None = None, frame: Frame = CAMERA
-) -> None:
-    """Write ``path`` (.usda): metres, ``frame``, links where they were seen; zero of every joint is the rest state.
-    Raises InputError where USD is not installed, and for an object with a joint that turns and slides at once,
+def save_usd(robot: Robot, path: str | Path) -> None:
+    """Write ``path`` (.usda): metres, ``robot.root``, links where they were seen; zero of every joint is the rest
+    state. Raises InputError where USD is not installed, and for an object with a joint that turns and slides at once,
     which its physics do not know."""
     try:
         pxr: Any = SimpleNamespace(**{name: import_module(f"pxr.{name}") for name in PARTS})
     except ImportError as error:
         raise InputError("format usd needs OpenUSD, which is not installed; pip install 'omad[usd]'") from error
-    screws = [joint.name for joint in estimate.joints if len(elementary(joint.unit_motion)) > 1]
+    joints = zip(robot.model.joint_names, robot.model.tree.motions, strict=True)
+    screws = [name for name, motion in joints if len(elementary(motion)) > 1]
     if screws:
         raise InputError(f"format usd: {screws[0]} turns and slides at once, which it cannot say; choose urdf or mjcf")
-    path = Path(path)
-    stage = _stage(pxr, Robot.of(estimate, path.stem, observation, frame))
-    write_text(path, stage.GetRootLayer().ExportToString())
+    stage = _stage(pxr, robot)
+    write_text(Path(path), stage.GetRootLayer().ExportToString())
 
 
 PARTS = ("Gf", "Sdf", "Tf", "Usd", "UsdGeom", "UsdPhysics", "Vt")
