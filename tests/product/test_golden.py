@@ -31,7 +31,7 @@ LIMITS = {
     "drawer": (0.06, 1.5, None),
     "drawer_1": (0.046, 1.4, None),
     "drawer_2": (0.06, 1.9, None),
-    "drawer_4": (0.096, 1.9, None),
+    "drawer_4": (0.09, 1.4, None),
     "drawer_5": (0.083, 1.4, None),
     "eyeglasses": (2.9, 2.6, 0.018),
     "laptop": (1.6, 1.4, 0.026),
@@ -45,7 +45,7 @@ LIMITS = {
     "scissors": (3.8, 1.9, 0.02),
     "stapler": (2.8, 1.5, 0.054),
     "suitcase": (2.2, 1.3, 0.026),
-    "trash_can": (3.8, 5.8, 0.041),
+    "trash_can": (2.5, 5.8, 0.041),
     "washing_machine": (3.5, 1.4, 0.034),
 }
 PASSED_OVER = {
