@@ -4,16 +4,24 @@ after a tenth of a second, so that what a drill does to them it does to their wo
 import contextlib
 import multiprocessing
 import os
-import resource
 import signal
 import sys
+from functools import cache
 from multiprocessing.connection import Connection, wait
+from multiprocessing.context import ForkServerContext
 
-WARM = multiprocessing.get_context("forkserver")
-WARM.set_forkserver_preload(
-    ["torch._dynamo", "torch.utils.tensorboard", "matplotlib.pyplot", "omad.cli.main", "omad.data.training_views"]
-    + ["omad.estimation.estimator", "omad.evaluation.confidence", "omad.training.train_net"]
-)
+IMPORTED = [
+    *["torch._dynamo", "torch.utils.tensorboard", "matplotlib.pyplot", "omad.cli.main", "omad.data.training_views"],
+    *["omad.estimation.estimator", "omad.evaluation.confidence", "omad.training.train_net"],
+]
+
+
+@cache
+def warm() -> ForkServerContext:
+    """Begins processes; only where there is fork."""
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(IMPORTED)
+    return context
 
 
 class Command:
@@ -21,8 +29,8 @@ class Command:
     ``largest`` bytes."""
 
     def __init__(self, arguments: list[str], largest: int | None = None) -> None:
-        self._said, said = WARM.Pipe(duplex=False)
-        self._process = WARM.Process(target=_run, args=(arguments, os.getcwd(), dict(os.environ), said, largest))
+        self._said, said = warm().Pipe(duplex=False)
+        self._process = warm().Process(target=_run, args=(arguments, os.getcwd(), dict(os.environ), said, largest))
         self._process.start()
         said.close()
 
@@ -51,6 +59,8 @@ def _run(arguments: list[str], folder: str, environment: dict[str, str], said: C
     said.close()
     sys.stdout, sys.stderr = os.fdopen(1, "w"), os.fdopen(2, "w", buffering=1)
     if largest is not None:
+        import resource  # not on Windows
+
         resource.setrlimit(resource.RLIMIT_FSIZE, (largest, largest))
     sys.argv = ["omad", *arguments]
     from omad.__main__ import main
