@@ -82,11 +82,11 @@ def test_a_category_of_ones_own_is_tried_beside_the_shipped_ones(capsys):
 
 @pytest.mark.slow
 def test_confidence_is_trained_into_the_checkpoint(capsys, monkeypatch):
-    monkeypatch.setattr("omad.evaluation.confidence.fitting.FEWEST", 50)
+    monkeypatch.setattr("omad.evaluation.confidence.fitting.FEWEST", 30)
     weights = checkpoint("own", None)
     trained = ["train", "confidence", *LAPTOP, *weights, "--objects", "5"]
     assert "give more" in refused(capsys, *trained, "--views", "8")
-    found = answer(capsys, *trained, "--views", "90")
+    found = answer(capsys, *trained, "--views", "50")
     assert found["checkpoint"] == "own"
     assert 0.7 < found["covered_90"] <= 1
     image = save_png("a.png")
@@ -99,5 +99,5 @@ def test_confidence_is_trained_into_the_checkpoint(capsys, monkeypatch):
     assert second["probability"] == pytest.approx(first["probability"])
     (Path("own") / FILE).write_text("{")
     assert str(Path("own") / FILE) in refused(capsys, "estimate", image, *LAPTOP, *K, *weights)
-    answer(capsys, *trained, "--views", "90")  # the cure that is named
+    answer(capsys, *trained, "--views", "50")  # the cure that is named
     assert (Path("own") / FILE).read_text() == kept

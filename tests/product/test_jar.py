@@ -82,6 +82,7 @@ def weights(tmp_path_factory, spec) -> Path:
     folder = tmp_path_factory.mktemp("weights")
     write_jars(folder / "jars", 4)
     common = ["--category", str(spec), "--source", str(folder / "jars"), "--batch", "8", "--threads", "1"]
+    common += ["--variants", "20"]
     assert run(["train", "prior", *common, "--output", str(folder / "prior"), "--steps", "60"]) == 0
     net = ["--prior", str(folder / "prior"), "--output", str(folder / "net"), "--steps", "20"]
     assert run(["train", "net", *common, *net]) == 0

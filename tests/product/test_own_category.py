@@ -25,7 +25,7 @@ from omad.model.omadnet import OmadNet
 DOCS = Path(__file__).parents[2] / "docs"
 TUTORIAL = DOCS / "own-category.md"
 SPECS = ("microwave.toml", "stapler.toml")
-TINY = ["--steps", "3", "--batch", "2"]
+TINY = ["--steps", "3", "--batch", "2", "--objects", "20", "--variants", "20"]
 MODELS = Path(os.environ.get("OMAD_MODELS", "nowhere"))
 
 
