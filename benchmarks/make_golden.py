@@ -1,9 +1,9 @@
 """Make the small benchmark that the tests hold the shipped weights to: clouds of unseen objects, and the truth.
 
-    python benchmarks/make_golden.py [--categories microwave oven]
+    python benchmarks/make_golden.py [--categories microwave oven] [--views 24]
 
-Writes ``tests/golden/golden_<category>.npz``: 24 standard views of 12 objects, noise off and on in turn, 1200 points
-stored in steps of 0.2 mm. Default: of categories with weights that have none yet.
+Writes ``tests/golden/golden_<category>.npz``: standard views of half as many objects, noise off and on in turn, 1200
+points stored in steps of 0.2 mm. Default: of categories with weights that have none yet.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ from omad.model.checkpoint import shipped_categories
 from omad.objects.category_file import get_category
 from omad.sensing.observation import Observation
 
-POINTS, VIEWS, SEED, STEP = 1200, 24, 11, 2e-4
+POINTS, SEED, STEP = 1200, 11, 2e-4
 FOLDER = Path(__file__).parent.parent / "tests" / "golden"
 
 
-def main(categories: tuple[str, ...] = ()) -> None:
+def main(categories: tuple[str, ...] = (), views: int = 24) -> None:
     missing = (name for name in shipped_categories() if not (FOLDER / f"golden_{name}.npz").exists())
     for name in categories or missing:
         category, rng = get_category(name), np.random.default_rng(SEED)
         columns: dict[str, list[np.ndarray]] = {}
-        for index in range(VIEWS):
+        for index in range(views):
             model = generate(category, index // 2, "test", SEED)
             view = standard_view(model, category, (SEED, index), LEVELS["on" if index % 2 else "off"])
             points = Observation.from_depth(view.depth, view.camera).points

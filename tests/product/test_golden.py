@@ -24,7 +24,7 @@ DATA = Path(__file__).parents[1] / "golden"
 # Of answers that are not passed over:
 # mean joint state error (degrees, or category units), mean axis error in degrees, mean axis distance in category units
 LIMITS = {
-    "cabinet_one_door": (1.8, 1.3, 0.023),
+    "cabinet_one_door": (1.7, 1.2, 0.027),
     "cabinet_two_doors": (3.6, 1.8, 0.025),
     "desk_lamp": (5.5, 1.0, 0.032),
     "dishwasher": (2.3, 1.0, 0.05),
@@ -49,12 +49,14 @@ LIMITS = {
     "washing_machine": (3.5, 1.4, 0.034),
 }
 PASSED_OVER = {
+    "cabinet_one_door": 16,
     "cabinet_two_doors": 4,
     "desk_lamp": 3,
     "drawer_5": 3,
     "refrigerator_two_doors": 2,
 }
-"""Of 24 answers, at most so many are doubtful, or take the object for one of the other hand; 1 of other categories."""
+"""Of 24 answers, at most so many are doubtful, or take the object for one of the other hand; 1 of other categories. Of
+cabinets with one door there are 200, as two shut doors among 24 decide how far axes are off."""
 
 
 @pytest.fixture(scope="module", params=sorted(CATEGORIES))
