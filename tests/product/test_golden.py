@@ -46,7 +46,7 @@ LIMITS = {
     "stapler": (2.8, 1.5, 0.054),
     "suitcase": (2.2, 1.3, 0.026),
     "trash_can": (2.5, 5.8, 0.041),
-    "washing_machine": (3.5, 1.4, 0.034),
+    "washing_machine": (2.3, 1.4, 0.028),
 }
 PASSED_OVER = {
     "cabinet_one_door": 16,
