@@ -49,7 +49,7 @@ LIMITS = {
     "washing_machine": (2.3, 1.4, 0.028),
 }
 PASSED_OVER = {
-    "cabinet_one_door": 16,
+    "cabinet_one_door": 13,
     "cabinet_two_doors": 2,
     "desk_lamp": 3,
     "drawer_5": 3,
