@@ -1,5 +1,5 @@
 """Drills: commands that are killed, whose disk is full, and many at a time. ``OMAD_KILLS=100`` kills so often;
-``python benchmarks/kill_drill.py`` does so for all commands together."""
+``python benchmarks/tools/kill_drill.py`` does so for all commands together."""
 
 import os
 from pathlib import Path
@@ -15,7 +15,7 @@ SMALL = 200
 """Bytes, which no file may exceed where the disk is full."""
 KNOWN = {drill.name: drill for drill in DRILLS}
 KILLED = [name for name in KNOWN if name != "train confidence"]
-"""That one takes minutes: benchmarks/kill_drill.py has it."""
+"""That one takes minutes: benchmarks/tools/kill_drill.py has it."""
 ESTIMATE = Drill("estimate", ["estimate", "frames/frame_00.png", *LAPTOP, *K, "--output", "out"])
 
 

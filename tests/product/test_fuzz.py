@@ -1,4 +1,4 @@
-"""A few hundred spoilt inputs; ``python benchmarks/fuzz.py`` tries thousands, with an eye on time and memory."""
+"""A few hundred spoilt inputs; ``python benchmarks/tools/fuzz.py`` tries thousands, with an eye on time and memory."""
 
 import zlib
 from pathlib import Path

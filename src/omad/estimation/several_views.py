@@ -34,8 +34,8 @@ SHARED = 0.5
 """Correlation of the joint states' errors of views from quite different sides: what comes from the object."""
 APART = 35.0
 """Degrees between two views at which what else they have in common has fallen to 1 / e. Both for noisy views of unseen
-procedural objects (``benchmarks/bench_several_views.py``): over five categories, errors of views less than 20 degrees
-apart correlate by 0.79, of those 20 to 40, 40 to 60, and 60 to 90 degrees apart by 0.75, 0.66 and 0.63."""
+procedural objects (``benchmarks/accuracy/bench_several_views.py``): over five categories, errors of views less than
+20 degrees apart correlate by 0.79, of those 20 to 40, 40 to 60, and 60 to 90 degrees apart by 0.75, 0.66 and 0.63."""
 CONTRADICTS = 0.2
 """Median distance of a view's keypoints from where an answer has them, category units, from which on both cannot be
 right; 0.02 to 0.06 is usual."""

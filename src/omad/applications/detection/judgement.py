@@ -1,7 +1,8 @@
 """How likely a thing is of each category, or of none: a softmax over what speaks against them.
 
 Its weights were fitted by maximum likelihood to things cut out of tables and floors with objects of the training split,
-boxes and cans (``benchmarks/bench_detect.py --fit --scenes 60 --seed 1``, which writes them to ``judgement.json``).
+boxes and cans (``benchmarks/accuracy/bench_detect.py --fit --scenes 60 --seed 1``, which writes them to
+``judgement.json``).
 """
 
 import json

@@ -4,7 +4,7 @@ explain what was seen.
 The score is linear in what speaks against a category, by how much it is more than usual where that category is right
 (``usual.json``: networks differ in how sure they are, shapes in how much of them is seen), and in what the look says.
 All was fitted to unseen views of training objects and of strangers by maximum likelihood
-(``benchmarks/bench_auto_category.py --what fit``), the weights the same for every category.
+(``benchmarks/accuracy/bench_auto_category.py --what fit``), the weights the same for every category.
 """
 
 import json

@@ -2,7 +2,7 @@
 
 A query looks at the lists of the ``PROBES`` nearest centres and compares all vectors there; nothing else is read. Short
 as the vectors are, there is nothing to gain by product quantisation: ten numbers are forty bytes, its codes ten, and
-what these lose has to be compared again. ``benchmarks/bench_large_index.py`` has the figures.
+what these lose has to be compared again. ``benchmarks/speed/bench_large_index.py`` has the figures.
 
 L centres, vectors of D numbers. A file holds list by list the vectors (n, D), float32, then their rows (n,), int64; the
 sizes of the lists stand in a file beside it.

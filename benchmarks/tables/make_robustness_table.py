@@ -1,0 +1,97 @@
+"""Measure the shipped weights on spoilt views and write the table of docs/robustness.md.
+
+    OMP_NUM_THREADS=1 python benchmarks/tables/make_robustness_table.py [--categories laptop laptop/cluttered]
+        [--views 60]
+    OMP_NUM_THREADS=1 python benchmarks/tables/make_robustness_table.py --models FOLDER [--views 60]
+
+The table stands between ``<!-- robustness -->`` and ``<!-- end -->``, that of other people's models, a sub-folder of
+``--models`` for each category, between ``<!-- robustness-models -->`` and ``<!-- end -->``. Answers are kept in
+``--cache`` and made anew only where they are missing.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import tyro
+from make_tables import replaced
+
+from omad.cli.evaluate import EvalRobustness, SpoiltViews
+from omad.common.files import write_atomic, write_json
+
+PAGE = Path(__file__).parents[2] / "docs" / "robustness.md"
+
+
+@dataclass(frozen=True)
+class Config:
+    """What to measure."""
+
+    categories: tuple[str, ...] = ("laptop", "eyeglasses", "dishwasher", "scissors", "drawer")
+    views: int = 60
+    """Of each row."""
+    models: Path | None = None
+    """Default: procedural objects."""
+    cache: Path = Path("runs/robustness")
+
+
+def measured(config: Config, category: str) -> dict[str, Any]:
+    """The answer of ``omad eval robustness``, from the cache where it is there."""
+    name, _, other = category.partition("/")
+    kind, source = ("", "procedural") if config.models is None else ("-models", str(config.models / name))
+    file = config.cache / f"{category.replace('/', '-')}{kind}-{config.views}.json"
+    if not file.is_file():
+        print(category, file=sys.stderr)
+        weights = Path(category) if other else None
+        data = SpoiltViews(source=source, views=config.views)
+        write_json(file, EvalRobustness(category=name, weights=weights, data=data).run().record)
+    return json.loads(file.read_text())
+
+
+def table(answers: dict[str, dict[str, Any]]) -> list[str]:
+    """A line a row, a column a category."""
+    by_row: dict[str, dict[str, dict[str, Any]]] = {}
+    for category, answer in answers.items():
+        for row in answer["rows"]:
+            by_row.setdefault(row["row"], {})[category] = row
+    lines = [f"| row | {' | '.join(answers)} |", "|---" * (len(answers) + 1) + "|"]
+    for row, rows in by_row.items():
+        cells = (cell(rows[name], answer["views"]) if name in rows else "-" for name, answer in answers.items())
+        lines.append(f"| `{row}` | {' | '.join(cells)} |")
+    told = (judged(answer) for answer in answers.values())
+    return [*lines, f"| all of them, and other categories' objects | {' | '.join(told)} |"]
+
+
+def judged(answer: dict[str, Any]) -> str:
+    """Calibration error and area under the ROC of the probability."""
+    told = answer["probability"]
+    return f"ECE {told['calibration_error']:.3f}, AUC {told['area_under_roc']:.3f}" if told else "-"
+
+
+def cell(row: dict[str, Any], views: int) -> str:
+    """Mean error, and that of the answers that are not flagged; shares covered by the 50 % and the 90 % interval,
+    flagged and silently wrong; the number of views where it is not ``views``."""
+    errors = ", ".join(mean(of) for of in (row, row["trusted"]))
+    shares = (f"{100 * row[key]:.0f}" for key in ("covered_50", "covered_90", "flagged", "silently_wrong"))
+    fewer = f" ({row['views']})" if row["views"] < views else ""
+    return f"{errors}; {' / '.join(shares)}{fewer}"
+
+
+def mean(of: dict[str, Any]) -> str:
+    """Degrees, or centimetres."""
+    angle, length = of["joint_state_error_deg"], of["joint_state_error"]
+    return f"{angle['mean']:.1f}°" if angle else f"{100 * length['mean']:.1f} cm" if length else "-"
+
+
+def main(config: Config) -> None:
+    answers = {category: measured(config, category) for category in config.categories}
+    name = "robustness" if config.models is None else "robustness-models"
+    text = replaced(PAGE.read_text(), name, table(answers))
+    write_atomic(PAGE, lambda path: path.write_text(text))
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Config, description=__doc__))

@@ -1,0 +1,212 @@
+"""Measure the shipped weights and write the docs' tables of accuracy.
+
+    OMP_NUM_THREADS=1 python benchmarks/tables/make_tables.py [--models FOLDER] [--categories laptop drawer]
+
+``--models``: a folder with one sub-folder of URDF or PartNet-Mobility models a category (``FOLDER/laptop/...``);
+without it the table of foreign models stays as it is, as do rows of categories that are not asked for. Tables stand
+between ``<!-- name -->`` and ``<!-- end -->`` in docs/results.md, a short one in the README. Answers are kept in
+``--cache`` and made anew only where they are missing. How far answers go towards surfaces is written into
+docs/surfaces.md as the weights have it.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from dataclasses import dataclass, replace
+from itertools import chain
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tyro
+
+from omad.cli.evaluate import EvalPose
+from omad.cli.options import Views
+from omad.common.files import make_folder, write_atomic
+from omad.model.checkpoint import find_weights, shipped_categories
+from omad.model.surfaces.bank import FILE
+from omad.model.surfaces.shares import Shares
+from omad.objects.category_file import get_category
+
+ROOT = Path(__file__).parents[2]
+PAGE, SURFACES, README = ROOT / "docs" / "results.md", ROOT / "docs" / "surfaces.md", ROOT / "README.md"
+PAPER = {
+    "laptop": ("3.3", "3.7", "0.03"),
+    "eyeglasses": ("4.9; 5.2", "4.2; 4.6", "0.05; 0.04"),
+    "dishwasher": ("3.7", "4.6", "0.09"),
+    "scissors": ("3.2", "2.7", "0.05"),
+    "drawer": ("0.11 u; 0.11 u; 0.09 u", "3.2", "-"),
+}
+"""The paper's Table 1, refined: joint state, axis angle, axis distance."""
+HEAD = "joint state (° or u) | axis angle (°) | axis distance (u) | base rotation (°) | within 5°, 5 % | flipped |"
+
+
+@dataclass(frozen=True)
+class Config:
+    """What to measure."""
+
+    models: Path | None = None
+    categories: tuple[str, ...] = ()
+    """Default: all that have weights, the paper's first."""
+    cache: Path = Path("runs/tables")
+    views: int = 200
+    """On procedural objects."""
+    views_a_model: int = 100
+    """On each foreign model."""
+
+
+def measured(config: Config, category: str, source: str, noisy: bool, views: int) -> dict[str, Any]:
+    """The answer of ``omad eval pose``, from the cache where it is there."""
+    kind = "procedural" if source == "procedural" else "models"
+    file = config.cache / f"{category}-{kind}-{'on' if noisy else 'off'}-{views}.json"
+    if not file.is_file():
+        print(f"{category}, {kind}, noise {'on' if noisy else 'off'}", file=sys.stderr)
+        data = Views(source=source, views=views, depth_noise="on" if noisy else "off")
+        answer = EvalPose(category=category, data=data).run().record
+        make_folder(config.cache)
+        write_atomic(file, lambda path: path.write_text(json.dumps(answer)))
+    return json.loads(file.read_text())
+
+
+def cells(errors: dict[str, Any], unit: float) -> str:
+    """Mean / median of every joint, as one line of the table."""
+    states = [
+        spread(angle, 1, 1) if angle else spread(length, 1 / unit, 3) + " u"
+        for angle, length in zip(errors["joint_state_error_deg"], errors["joint_state_error"], strict=True)
+    ]
+    distances = [spread(e, 1 / unit, 3) if e else "-" for e in errors["axis_distance"]]
+    columns = [
+        each(states),
+        each([spread(e, 1, 1) for e in errors["axis_error_deg"]]),
+        each(distances),
+        spread(errors["rotation_error_deg"][0], 1, 1),
+        f"{errors['within_5deg_5percent']:.0%}",
+        f"{errors['flipped']:.1%}",
+    ]
+    return " | ".join(columns) + " |"
+
+
+def each(values: list[str]) -> str:
+    """Values of all joints, once where they are the same."""
+    return "; ".join(dict.fromkeys(values))
+
+
+def spread(error: dict[str, float], factor: float, digits: int) -> str:
+    return f"{factor * error['mean']:.{digits}f} / {factor * error['median']:.{digits}f}"
+
+
+def procedural_table(config: Config) -> list[str]:
+    lines = [f"| category | noise | | {HEAD}", "|---" * 9 + "|"]
+    for name in config.categories:
+        for noisy in (False, True):
+            answer = measured(config, name, "procedural", noisy, config.views)
+            for stage in ("initial", "refined"):
+                row = cells(answer[stage], answer["metres_per_unit"])
+                lines.append(f"| {name} | {'on' if noisy else 'off'} | {stage} | {row}")
+        if name in PAPER:
+            state, axis, distance = PAPER[name]
+            lines.append(f"| {name} | | *paper*, refined | {state} | {axis} | {distance} | | | |")
+    return lines
+
+
+def short_table(config: Config) -> list[str]:
+    """Means of refined answers to noisy views, a line a category."""
+    lines = ["| category | joint states | axis angle | within 5°, 5 % | the paper: state, angle |", "|---" * 5 + "|"]
+    for name in config.categories:
+        answer = measured(config, name, "procedural", True, config.views)
+        errors, unit = answer["refined"], answer["metres_per_unit"]
+        both = zip(errors["joint_state_error_deg"], errors["joint_state_error"], strict=True)
+        states = ", ".join(f"{a['mean']:.1f}°" if a else f"{b['mean'] / unit:.3f} u" for a, b in both)
+        states += f" ({unit:.2f} m)" if "u" in states else ""
+        axes = max(error["mean"] for error in errors["axis_error_deg"])
+        state, axis, _ = PAPER.get(name, ("", "", ""))
+        paper = f"{state}, {axis}" if state else ""
+        share = f"{errors['within_5deg_5percent']:.0%}"
+        lines.append(f"| {name} | {states} | {axes:.1f}° | {share} | {paper} |")
+    return lines
+
+
+def models_table(config: Config, models: Path) -> tuple[list[str], list[str]]:
+    """Rows of the models that are usable, and why the others are not."""
+    lines, refused = [f"| object | noise | {HEAD}", "|---" * 8 + "|"], []
+    for name in config.categories:
+        source = models / name
+        if not source.is_dir():
+            continue
+        for noisy in (False, True):
+            count = len(measured(config, name, str(source), False, 1)["refused"])
+            usable = sum(path.is_dir() for path in source.iterdir()) - count
+            answer = measured(config, name, str(source), noisy, config.views_a_model * usable)
+            for entry in answer["by_object"]:
+                row = cells(entry["refined"], answer["metres_per_unit"])
+                lines.append(f"| {name} {entry['object']} | {'on' if noisy else 'off'} | {row}")
+        reasons = ((r["name"], r["reason"].split(": ", 1)[-1]) for r in answer["refused"])
+        refused += [f"- {name} {model}: {reason}" for model, reason in reasons]
+    return lines, refused
+
+
+def shares_table() -> list[str]:
+    """How far answers of the shipped weights go towards their surfaces, and the mean errors that it was found by."""
+    lines = ["| | views | base and shape | joints | joint states: keypoints, fit, taken |", "|---" * 5 + "|"]
+    for name in shipped_categories():
+        category, folder = get_category(name), find_weights(name)
+        with np.load(folder / FILE) as file:
+            shares = Shares.among(dict(file), len(category.joints))
+        assert shares is not None
+        per_unit = np.where(category.turning, 180 / np.pi, category.metres_per_unit)
+        kinds = [(".1f", "°") if turning else (".3f", " m") for turning in category.turning]
+        told = [
+            ", ".join(f"{error:{digits}}{unit}" for error, (digits, unit) in zip(row * per_unit, kinds, strict=True))
+            for row in shares.errors[:, 1:]
+        ]
+        base, *joints = (f"{share:g}" for share in shares.taken)
+        lines.append(f"| {name} | {shares.views} | {base} | {', '.join(joints)} | {'; '.join(told)} |")
+    return lines
+
+
+def replaced(text: str, name: str, lines: list[str], some: tuple[str, ...] = ()) -> str:
+    """``text`` with what stands between the marks of ``name`` exchanged; where ``lines`` are of ``some`` categories,
+    only theirs."""
+    pattern = re.compile(rf"(<!-- {name} -->\n)(.*?)\n(<!-- end -->)", re.DOTALL)
+
+    def exchanged(match: re.Match[str]) -> str:
+        after = put_in(match[2].splitlines(), lines, some) if some else lines
+        return match[1] + "\n".join(after) + "\n" + match[3]
+
+    return pattern.sub(exchanged, text)
+
+
+def put_in(before: list[str], lines: list[str], some: tuple[str, ...]) -> list[str]:
+    """Rows of ``some`` categories where they were ``before``, new ones at the end."""
+    rows = {name: [line for line in lines if whose(line) == name] for name in some}
+    after = list[str]()
+    for line in before:
+        after += rows.pop(whose(line), []) if whose(line) in some else [line]
+    return [*after, *chain(*rows.values())]
+
+
+def whose(line: str) -> str:
+    """Category that a row begins with, or a line of a list."""
+    return line.split()[1] if line.startswith(("| ", "- ")) else ""
+
+
+def main(config: Config) -> None:
+    some = config.categories
+    if not some:
+        names = (*PAPER, *(name for name in shipped_categories() if name not in PAPER))
+        config = replace(config, categories=names)
+    short = replaced(README.read_text(), "accuracy", short_table(config), some)
+    write_atomic(README, lambda path: path.write_text(short))
+    text = replaced(PAGE.read_text(), "procedural", procedural_table(config), some)
+    if config.models is not None:
+        rows, refused = models_table(config, config.models)
+        text = replaced(replaced(text, "models", rows, some), "refused", refused, some)
+    write_atomic(PAGE, lambda path: path.write_text(text))
+    shares = replaced(SURFACES.read_text(), "shares", shares_table())
+    write_atomic(SURFACES, lambda path: path.write_text(shares))
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Config, description=__doc__))
