@@ -1,7 +1,7 @@
 """Objects of five categories beside the surfaces that are estimated of one view of each.
 
-    python benchmarks/tables/draw_surfaces.py --output docs/figures/hero.png                  # procedural, unseen
-    python benchmarks/tables/draw_surfaces.py --models FOLDER --output docs/figures/surfaces.png  # other people's models
+    python benchmarks/tables/draw_surfaces.py --output docs/figures/hero.png                # procedural, unseen
+    python benchmarks/tables/draw_surfaces.py --models FOLDER --output docs/figures/surfaces.png  # other people's
 
 ``FOLDER/<category>/`` holds models; of each category the first that fits is seen once, from a side that the seed draws.
 """
