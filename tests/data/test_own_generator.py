@@ -27,7 +27,7 @@ def test_its_objects_are_reproducible_closed_and_clear_of_each_other():
     models = [load_models(str(GENERATOR), MAILBOX, 8, "train", 0).models for _ in range(2)]
     for one, again in zip(*models, strict=True):
         assert one.closed
-        assert deepest_cut(one, np.random.default_rng(0)) < 0.01
+        assert deepest_cut(one, MAILBOX, np.random.default_rng(0)) < 0.01
         for part, same in zip(one.parts, again.parts, strict=True):
             np.testing.assert_array_equal(part.vertices, same.vertices)
     others = load_models(str(GENERATOR), MAILBOX, 8, "test", 0).models

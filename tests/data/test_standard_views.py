@@ -9,16 +9,21 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from helpers.categories import CATEGORIES
 from omad.common.errors import InputError
+from omad.data.clutter.settings import Clutter
 from omad.data.procedural import generate
 from omad.data.rendering import view_folder
 from omad.data.rendering.depth_noise import ON
 from omad.data.rendering.rasteriser import NOTHING
 from omad.data.rendering.standard_views import MIN_PIXELS, standard_view, standard_views
 from omad.data.rendering.view_folder import open_views, render_to_folder
+from omad.data.surface_bank import SurfaceBank
+from omad.data.training_views import ViewSettings, draw_views
 from omad.geometry.mesh import Mesh
+from omad.objects.category_file import get_category
 from omad.objects.model import ObjectModel
 
 CATEGORY = CATEGORIES["dishwasher"]
@@ -52,6 +57,20 @@ def test_views_lie_on_the_object_within_its_limits(models: list[ObjectModel]) ->
             assert (points > vertices.min(0) - 1e-5).all()
             assert (points < vertices.max(0) + 1e-5).all()
     assert np.ptp(states) > 0.5
+
+
+def test_no_part_is_drawn_where_it_would_go_through_another() -> None:
+    category = get_category("stapler")
+    models = [generate(category, index, "test") for index in range(2)]
+    rendered = np.array([view.states for view in standard_views(models, category, 20)])
+    bank = SurfaceBank.from_models(models, category, samples=2048)
+    settings = ViewSettings(points=64, clutter=Clutter())
+    trained = draw_views(bank, category, 200, settings, torch.Generator().manual_seed(0)).states.double().numpy()
+    for states in rendered, trained:
+        lid, magazine = states.T
+        assert (magazine <= lid + 1e-6).all()
+        assert np.ptp(magazine) > 1.0
+        assert (magazine > 0.9 * lid).any()
 
 
 def test_views_repeat_and_do_not_depend_on_how_many_are_drawn(models: list[ObjectModel]) -> None:

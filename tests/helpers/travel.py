@@ -3,9 +3,11 @@
 import numpy as np
 import trimesh
 
+from omad.data.rendering.viewpoints import keep_possible
 from omad.geometry.closest import nearest_of
 from omad.geometry.mesh import Mesh, sample_triangles
 from omad.geometry.rigid import box
+from omad.objects.category import Category
 from omad.objects.model import ObjectModel
 
 STATES = 5
@@ -28,15 +30,16 @@ def winding(triangles: np.ndarray, points: np.ndarray) -> np.ndarray:
     return (2 * np.arctan2(volume, spread)).sum(1) / (4 * np.pi)
 
 
-def travel_states(model: ObjectModel, rng: np.random.Generator, alone: bool = True) -> np.ndarray:
-    """(2 STATES, J): all joints equally far, and each anywhere where joints may move ``alone``; else (STATES, J)."""
+def travel_states(model: ObjectModel, category: Category, rng: np.random.Generator) -> np.ndarray:
+    """(2 STATES, J): all joints equally far, and each anywhere that the others leave to it."""
     shares = np.repeat(np.linspace(0, 1, STATES)[:, None], len(model.limits), 1)
-    if alone:
-        shares = np.concatenate([shares, rng.choice(shares[:, 0], shares.shape)])
-    return model.limits[:, 0] + shares * np.ptp(model.limits, axis=1)
+    shares = np.concatenate([shares, rng.choice(shares[:, 0], shares.shape)])
+    states = model.limits[:, 0] + shares * np.ptp(model.limits, axis=1)
+    keep_possible(states, model.limits, category.joints)
+    return states
 
 
-def deepest_cut(model: ObjectModel, rng: np.random.Generator, alone: bool = True) -> float:
+def deepest_cut(model: ObjectModel, category: Category, rng: np.random.Generator) -> float:
     """How deep a part's surface gets into one solid of another part, at most, as a share of the object's diagonal."""
     pieces = [solids(part) for part in model.parts]
     samples = [
@@ -44,7 +47,7 @@ def deepest_cut(model: ObjectModel, rng: np.random.Generator, alone: bool = True
     ]
     inside = [[_Depths(piece) for piece in each] for each in pieces]
     deepest = 0.0
-    for states in travel_states(model, rng, alone):
+    for states in travel_states(model, category, rng):
         T = model.part_transforms(states)
         for k, points in enumerate(samples):
             for other, depths in enumerate(inside):

@@ -155,6 +155,8 @@ DAMAGE = {
     "joints[2].rest": lambda c: c["joints"][2].update(rest="ajar"),
     "joints[0].colour": lambda c: c["joints"][0].update(colour="red"),
     "parts[1].joint.parent": lambda c: c["joints"][0].update(parent=1),
+    "parts[2].joint.at_most": lambda c: c["joints"][1].update(at_most=1),
+    "parts[3].joint.at_most": lambda c: c["joints"][2].update(at_most=0),
     "parts": lambda c: c.update(parts=3),
     "views.roll": lambda c: c["views"].update(roll=-1),
 }
@@ -220,6 +222,7 @@ SLIPS = {
     "a screw without a pitch": ('"revolute"', '"screw"', "parts[1].joint.pitch"),
     "a parent that is not there": ("limits", 'parent = "lid"\nlimits', "parts[1].joint.parent"),
     "its own parent": ("limits", 'parent = "door"\nlimits', "parts[1].joint.parent"),
+    "at most a joint that is not there": ("limits", 'at_most = "lid"\nlimits', "parts[1].joint.at_most"),
     "the base on a joint": (
         'name = "body"\n',
         'name = "body"\njoint = { type = "revolute", axis = "x", limits = [0, 9] }\n',

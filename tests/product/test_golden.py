@@ -43,7 +43,7 @@ LIMITS = {
     "refrigerator_two_doors": (3.6, 1.4, 0.021),
     "safe": (2.0, 1.1, 0.034),
     "scissors": (3.8, 1.9, 0.02),
-    "stapler": (2.8, 1.5, 0.054),
+    "stapler": (2.6, 1.1, 0.08),
     "suitcase": (2.2, 1.3, 0.026),
     "trash_can": (2.5, 5.8, 0.041),
     "washing_machine": (2.3, 1.4, 0.028),
@@ -56,7 +56,8 @@ PASSED_OVER = {
     "refrigerator_two_doors": 2,
 }
 """Of 24 answers, at most so many are doubtful, or take the object for one of the other hand; 1 of other categories. Of
-cabinets with one door there are 200, as two shut doors among 24 decide how far axes are off."""
+cabinets with one door there are 200, as two shut doors among 24 decide how far axes are off, and of staplers 48, whose
+magazine has no visible hinge."""
 
 
 @pytest.fixture(scope="module", params=sorted(CATEGORIES))

@@ -28,7 +28,7 @@ from .clutter.spoil import Scene, spoil
 from .mesh_bank import MeshBank
 from .point_views import PosedSamples, look, pose, visible
 from .rendering.depth_noise import ON
-from .rendering.viewpoints import sample_poses, sample_states, uniform
+from .rendering.viewpoints import keep_possible, sample_poses, sample_states, uniform
 from .surface_bank import SurfaceBank
 
 
@@ -95,6 +95,7 @@ def draw_views_of(
     states = sample_states(joints.limits, generator)
     if clutter is not None:
         states = _at_limits(states, joints.limits, clutter.shut, generator)
+    keep_possible(states, joints.limits, category.joints)
 
     identity = torch.eye(4, dtype=like.dtype, device=like.device).expand(batch, 4, 4)
     T_base_part = part_transforms(category.tree, joints.axes, joints.pivots, states, identity)

@@ -73,6 +73,8 @@ class JointSpec:
     """Metres a turn that a joint which turns and slides advances along its axis, signed; no other joint has one."""
     rest: RestRule = "closed"
     """How geometry tells state 0."""
+    at_most: int | None = None
+    """Index of a joint before it whose state its own does not exceed, as its part would go through another one."""
 
     def __post_init__(self) -> None:
         for field, direction in (("axis", self.axis), ("reach", self.reach), ("side", self.side)):
@@ -165,6 +167,7 @@ class Category:
                 _check_unique(joint, self.joints)
                 if not 0 <= joint.parent <= index:
                     raise ValueError(f"parent: is part {joint.parent}; name one before its child")
+                self._check_at_most(index, joint)
         if self.either_hand and any(joint.pitch for joint in self.joints):
             raise ValueError("either_hand: a thread in a mirror is another thread; remove it")
         if self.swap_symmetry and len(self.parts) != 2:
@@ -183,6 +186,16 @@ class Category:
             raise ValueError(f"keypoints: differ from those of its mirror {other.name!r}")
         if part.mirror == index and part.keypoints % 2:
             raise ValueError(f"keypoints: are {part.keypoints} on a part that is its own mirror; use an even number")
+
+    def _check_at_most(self, index: int, joint: JointSpec) -> None:
+        """States are compared, so both are angles or both lengths."""
+        if joint.at_most is None:
+            return
+        if not 0 <= joint.at_most < index:
+            raise ValueError(f"at_most: is joint {joint.at_most}; name one before it")
+        other = self.joints[joint.at_most]
+        if other.motion.turns != joint.motion.turns:
+            raise ValueError(f"at_most: {other.name!r} does not move as this joint does; angles compare with angles")
 
     @property
     def tree(self) -> KinematicTree:

@@ -48,6 +48,7 @@ class _Joint:
     side: _Direction | None = None
     rest: RestRule = JointSpec.rest
     pitch: Annotated[float, "metres a turn"] | None = None
+    at_most: str | None = None
 
 
 @dataclass(frozen=True)
@@ -129,7 +130,8 @@ def _category(file: _File) -> Category:
     _check_name(file.name)
     check_unit(file.metres_per_unit)
     names = [part.name for part in file.parts]
-    parts, joints = [], []
+    parts: list[PartSpec] = []
+    joints: list[JointSpec] = []
     for index, table in enumerate(file.parts):
         with within(f"parts[{index}]."):
             _check_name(table.name)
@@ -140,7 +142,7 @@ def _category(file: _File) -> Category:
                 raise ValueError("joint: is missing; only the first part hangs on none")
         if table.joint:
             with within(f"parts[{index}].joint."):
-                joints.append(_joint(table.joint, index, names, file.metres_per_unit))
+                joints.append(_joint(table.joint, index, names, joints, file.metres_per_unit))
     with within("views."):
         views = ViewRange(**{field: _radians(value) for field, value in vars(file.views).items() if value is not None})
     return Category(**vars(file) | {"parts": tuple(parts), "joints": tuple(joints), "views": views})
@@ -159,17 +161,23 @@ def _part(table: _Part, index: int, names: list[str]) -> PartSpec:
     return PartSpec(table.name, table.keypoints, mirror, tuple(alias.lower() for alias in aliases), table.sides)
 
 
-def _joint(table: _Joint, index: int, names: list[str], metres_per_unit: float) -> JointSpec:
-    """The joint of the part ``index``."""
+def _joint(table: _Joint, index: int, names: list[str], before: list[JointSpec], metres_per_unit: float) -> JointSpec:
+    """The joint of the part ``index``; ``before`` are those of the parts before it."""
     name = f"{names[index]}_joint" if table.name is None else table.name
     _check_name(name)
     parent = names[0] if table.parent is None else table.parent
     if parent not in names[:index]:
         raise ValueError(f"parent: is {parent!r}; give {' or '.join(names[:index])}")
+    others = [joint.name for joint in before]
+    if table.at_most not in (None, *others):
+        raise ValueError(
+            f"at_most: is {table.at_most!r}; give {' or '.join(others) or 'none, as no joint is before it'}"
+        )
+    at_most = None if table.at_most is None else others.index(table.at_most)
     found = {field: _vector(field, getattr(table, field)) for field in ("axis", "reach", "side")}
     length = math.hypot(*found["axis"]) or 1.0
     found["axis"] = tuple(x / length for x in found["axis"])
-    spec = JointSpec(**vars(table) | found | {"name": name, "parent": names.index(parent)})
+    spec = JointSpec(**vars(table) | found | {"name": name, "parent": names.index(parent), "at_most": at_most})
     if spec.motion.turns and max(map(abs, spec.limits)) <= 2 * math.pi:
         raise ValueError(
             f"limits: are degrees, and {spec.limits} hardly a movement; of radians, give {_in_degrees(spec)}"

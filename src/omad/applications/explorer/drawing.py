@@ -10,6 +10,7 @@ import numpy as np
 import torch
 
 from omad.common.arrays import as_doubles
+from omad.data.rendering.viewpoints import keep_possible
 from omad.estimation.estimate import Estimate
 from omad.geometry.mesh import Mesh, convex_hull
 from omad.model.fitting.state import State
@@ -96,9 +97,11 @@ class ObjectSpace:
         return ObjectState(self._mean.copy(), np.clip(0.0, *self.limits.T))
 
     def random(self, rng: np.random.Generator) -> ObjectState:
-        """A shape from the prior's normal distribution, joint states uniform within limits."""
+        """A shape from the prior's normal distribution, possible joint states within limits."""
         beta = rng.multivariate_normal(self._mean, self._covariance, method="eigh")
-        return ObjectState(beta, rng.uniform(*self.limits.T))
+        states = rng.uniform(*self.limits.T)
+        keep_possible(states, self.limits, self.category.joints)
+        return ObjectState(beta, states)
 
     def estimated(self, estimate: Estimate) -> ObjectState:
         """The object that was found."""

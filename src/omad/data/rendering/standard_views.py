@@ -16,7 +16,7 @@ from omad.sensing.observation import Observation
 
 from .depth_noise import NoiseLevel, add_noise
 from .rasteriser import NOTHING, Rendering, render
-from .viewpoints import sample_poses, sample_states
+from .viewpoints import keep_possible, sample_poses, sample_states
 
 MIN_PIXELS = 500
 """A view that shows fewer pixels of the object (before noise) is drawn again."""
@@ -104,17 +104,19 @@ class Drawn:
 
 
 def draw(
-    model: ObjectModel, views: ViewRange, generator: torch.Generator, camera: Camera = STANDARD_CAMERA,
-    at_states: np.ndarray | None = None,
+    model: ObjectModel, category: Category, generator: torch.Generator, camera: Camera = STANDARD_CAMERA,
+    at_states: np.ndarray | None = None, views: ViewRange | None = None,
 ) -> Drawn:  # fmt: skip
-    """``model`` at joint states ``at_states`` (J,), or random ones, seen from a random viewpoint. Raises InputError for
-    an object that is too thin or too small to be seen."""
+    """``model`` at joint states ``at_states`` (J,), or random ones, seen from a random viewpoint of the category's
+    ``views`` or others. Raises InputError for an object that is too thin or too small to be seen."""
     limits = torch.as_tensor(model.limits, dtype=torch.float64)[None]
     for _ in range(ATTEMPTS):
         states = sample_states(limits, generator)[0].numpy() if at_states is None else at_states
+        if at_states is None:
+            keep_possible(states, model.limits, category.joints)
         centre, radius = bounding_sphere(np.concatenate(model.posed_vertices(states)))
         sphere = torch.as_tensor(centre)[None], torch.tensor([radius], dtype=torch.float64)
-        T_camera_base = sample_poses(views, *sphere, generator, camera)[0].numpy()
+        T_camera_base = sample_poses(views or category.views, *sphere, generator, camera)[0].numpy()
         rendering = render(model, states, T_camera_base, camera)
         if np.count_nonzero(rendering.depth) >= MIN_PIXELS:
             return Drawn(states, T_camera_base, rendering)
@@ -130,7 +132,7 @@ def standard_view(
     same seed. Raises InputError for an object that is too thin or too small to be seen."""
     rng = np.random.default_rng(list(seed))
     generator = torch.Generator().manual_seed(int(rng.integers(2**62)))
-    drawn = draw(model, category.views, generator, at_states=states)
+    drawn = draw(model, category, generator, at_states=states)
     rendering = drawn.rendering
     depth = add_noise(rendering.depth, noise, STANDARD_CAMERA, rng, rendering.cos_view)
     labels = np.where(depth > 0, rendering.labels, np.uint8(NOTHING))

@@ -1,6 +1,8 @@
 """Where standard views look from: random joint states and camera poses (seeded, any device)."""
 
 import math
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import torch
@@ -9,7 +11,7 @@ from torch import Tensor
 from omad.geometry.camera import STANDARD_CAMERA, Camera
 from omad.geometry.rigid import rigid
 from omad.geometry.transforms import axis_angle_to_matrix, make_transform
-from omad.objects.category import ViewRange
+from omad.objects.category import JointSpec, ViewRange
 
 SPAN = (0.35, 0.9)
 """Share of the image height that the object's bounding sphere covers."""
@@ -25,6 +27,16 @@ def uniform(low: Tensor | float, high: Tensor | float, shape: tuple[int, ...], l
 def sample_states(limits: Tensor, generator: torch.Generator | None = None) -> Tensor:
     """Joint states uniform between limits (B, J, 2), independently -> (B, J)."""
     return uniform(limits[..., 0], limits[..., 1], tuple(limits.shape[:-1]), limits, generator)
+
+
+def keep_possible(states: Any, limits: Any, joints: Sequence[JointSpec]) -> None:
+    """Of joints that do not go further than another one (``at_most``), bring states (..., J) between limits (..., J, 2)
+    down in proportion, in place; both are tensors, or both arrays."""
+    for index, joint in enumerate(joints):
+        if joint.at_most is not None:
+            low, high = limits[..., index, 0], limits[..., index, 1]
+            top = states[..., joint.at_most].clip(low, high)
+            states[..., index] = low + (states[..., index] - low) * (top - low) / (high - low)
 
 
 def look_at(azimuth: Tensor, elevation: Tensor, roll: Tensor) -> Tensor:

@@ -68,7 +68,7 @@ def draw_scene(model: ObjectModel, category: Category, seed: Sequence[int], stag
     rng = np.random.default_rng(list(seed))
     generator = torch.Generator().manual_seed(int(rng.integers(2**62)))
     camera = random_camera(rng) if staging.any_camera else STANDARD_CAMERA
-    drawn = draw(model, staging.views(category.views), generator, camera)
+    drawn = draw(model, category, generator, camera, views=staging.views(category.views))
     T_camera_base, rendering = drawn.T_camera_base, drawn.rendering
     outline = np.concatenate(model.posed_vertices(drawn.states))
     moved = T_camera_base

@@ -10,6 +10,8 @@ from omad.geometry.rigid import box as bounds
 from omad.geometry.rigid import rigid
 from omad.objects.category_file import get_category
 
+from ..viewpoints import keep_possible
+
 PROCEDURAL = 0.5
 """Share of the things that are objects of a category."""
 
@@ -43,4 +45,6 @@ def simple_thing(rng: np.random.Generator) -> Mesh:
 def _procedural(rng: np.random.Generator, category: str) -> Mesh:
     other = get_category(str(rng.choice([name for name in GENERATORS if name != category])))
     model = generate(other, int(rng.integers(2**31)), "train", int(rng.integers(2**31)))
-    return merge_meshes(model.posed(rng.uniform(*model.limits.T)))
+    states = rng.uniform(*model.limits.T)
+    keep_possible(states, model.limits, other.joints)
+    return merge_meshes(model.posed(states))
