@@ -14,7 +14,7 @@ import tyro
 from matplotlib.figure import Figure
 
 from omad.data.procedural import generate
-from omad.data.rendering.viewpoints import keep_possible
+from omad.data.rendering.viewpoints import random_states
 from omad.data.urdf_import.folder import load_folder
 from omad.objects.category_file import get_category
 from omad.output.contact_sheet import picture
@@ -37,8 +37,7 @@ def main(
     for panel, model in zip(fig.axes, shown, strict=False):
         azimuth = rng.uniform(-spec.views.azimuth, spec.views.azimuth)
         elevation = rng.uniform(*spec.views.elevation)
-        states = rng.uniform(*model.limits.T)
-        keep_possible(states, model.limits, spec.joints)
+        states = random_states(model.limits, spec.joints, rng)
         panel.imshow(picture(model, states, azimuth, min(elevation, 1.5)))
         panel.set_title(model.name, fontsize=7)
     fig.tight_layout()

@@ -20,6 +20,7 @@ from omad.data.rendering.depth_noise import ON
 from omad.data.rendering.rasteriser import NOTHING
 from omad.data.rendering.standard_views import MIN_PIXELS, standard_view, standard_views
 from omad.data.rendering.view_folder import open_views, render_to_folder
+from omad.data.rendering.viewpoints import keep_possible
 from omad.data.surface_bank import SurfaceBank
 from omad.data.training_views import ViewSettings, draw_views
 from omad.geometry.mesh import Mesh
@@ -71,6 +72,12 @@ def test_no_part_is_drawn_where_it_would_go_through_another() -> None:
         assert (magazine <= lid + 1e-6).all()
         assert np.ptp(magazine) > 1.0
         assert (magazine > 0.9 * lid).any()
+
+
+def test_a_joint_that_cannot_move_stays_where_it_is() -> None:
+    states, limits = np.array([1.0, 0.5]), np.array([[0.0, 1.7], [0.5, 0.5]])
+    keep_possible(states, limits, get_category("stapler").joints)
+    np.testing.assert_array_equal(states, [1.0, 0.5])
 
 
 def test_views_repeat_and_do_not_depend_on_how_many_are_drawn(models: list[ObjectModel]) -> None:

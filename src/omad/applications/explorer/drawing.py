@@ -10,7 +10,7 @@ import numpy as np
 import torch
 
 from omad.common.arrays import as_doubles
-from omad.data.rendering.viewpoints import keep_possible
+from omad.data.rendering.viewpoints import random_states
 from omad.estimation.estimate import Estimate
 from omad.geometry.mesh import Mesh, convex_hull
 from omad.model.fitting.state import State
@@ -99,9 +99,7 @@ class ObjectSpace:
     def random(self, rng: np.random.Generator) -> ObjectState:
         """A shape from the prior's normal distribution, possible joint states within limits."""
         beta = rng.multivariate_normal(self._mean, self._covariance, method="eigh")
-        states = rng.uniform(*self.limits.T)
-        keep_possible(states, self.limits, self.category.joints)
-        return ObjectState(beta, states)
+        return ObjectState(beta, random_states(self.limits, self.category.joints, rng))
 
     def estimated(self, estimate: Estimate) -> ObjectState:
         """The object that was found."""

@@ -111,8 +111,9 @@ def draw(
     ``views`` or others. Raises InputError for an object that is too thin or too small to be seen."""
     limits = torch.as_tensor(model.limits, dtype=torch.float64)[None]
     for _ in range(ATTEMPTS):
-        states = sample_states(limits, generator)[0].numpy() if at_states is None else at_states
-        if at_states is None:
+        states = at_states
+        if states is None:
+            states = sample_states(limits, generator)[0].numpy()
             keep_possible(states, model.limits, category.joints)
         centre, radius = bounding_sphere(np.concatenate(model.posed_vertices(states)))
         sphere = torch.as_tensor(centre)[None], torch.tensor([radius], dtype=torch.float64)

@@ -19,7 +19,7 @@ from .depth_noise import NoiseLevel, add_noise
 from .rasteriser import rasterise
 from .spoils.scenes import in_front
 from .spoils.things import simple_thing
-from .viewpoints import keep_possible, pose_before
+from .viewpoints import pose_before, random_states
 
 OBJECTS = (3, 6)
 """On one table."""
@@ -108,8 +108,7 @@ def draw_tabletop(
 def _of_category(name: str, split: Literal["train", "test"], largest: float, rng: np.random.Generator) -> _Thing:
     category = get_category(name)
     model = generate(category, int(rng.integers(2**31)), split, int(rng.integers(2**31)))
-    states = rng.uniform(*model.limits.T)
-    keep_possible(states, model.limits, category.joints)
+    states = random_states(model.limits, category.joints, rng)
     mesh = merge_meshes(model.posed(states))
     size = float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
     turn = rng.uniform(-category.views.azimuth, category.views.azimuth)

@@ -36,7 +36,14 @@ def keep_possible(states: Any, limits: Any, joints: Sequence[JointSpec]) -> None
         if joint.at_most is not None:
             low, high = limits[..., index, 0], limits[..., index, 1]
             top = states[..., joint.at_most].clip(low, high)
-            states[..., index] = low + (states[..., index] - low) * (top - low) / (high - low)
+            states[..., index] = low + (states[..., index] - low) * (top - low) / (high - low).clip(1e-12)
+
+
+def random_states(limits: np.ndarray, joints: Sequence[JointSpec], rng: np.random.Generator) -> np.ndarray:
+    """Possible joint states (J,) between limits (J, 2)."""
+    states = rng.uniform(*limits.T)
+    keep_possible(states, limits, joints)
+    return states
 
 
 def look_at(azimuth: Tensor, elevation: Tensor, roll: Tensor) -> Tensor:

@@ -10,7 +10,7 @@ from omad.geometry.rigid import box as bounds
 from omad.geometry.rigid import rigid
 from omad.objects.category_file import get_category
 
-from ..viewpoints import keep_possible
+from ..viewpoints import random_states
 
 PROCEDURAL = 0.5
 """Share of the things that are objects of a category."""
@@ -45,6 +45,4 @@ def simple_thing(rng: np.random.Generator) -> Mesh:
 def _procedural(rng: np.random.Generator, category: str) -> Mesh:
     other = get_category(str(rng.choice([name for name in GENERATORS if name != category])))
     model = generate(other, int(rng.integers(2**31)), "train", int(rng.integers(2**31)))
-    states = rng.uniform(*model.limits.T)
-    keep_possible(states, model.limits, other.joints)
-    return merge_meshes(model.posed(states))
+    return merge_meshes(model.posed(random_states(model.limits, other.joints, rng)))
