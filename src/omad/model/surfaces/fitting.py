@@ -1,8 +1,13 @@
 """Fitting a template's surface to a cloud.
 
-    sum over cloud and visible surface of rho(|point - nearest point of the other|^2)
+    sum over cloud and visible surface of rho(point - nearest point of the other)
     + (x - x0)^T C^-1 (x - x0)      x: pose, joint states, beta; C as the fit to the keypoints left it, widened
-    + |e|^2 / own^2                 e: what of the keypoints beta cannot say
+    + e^T E^-1 e                    e: what of the keypoints beta cannot say
+
+Nearest points of a flat side are not the same points of it, so that what they are apart counts along the surface's
+normal (Chen and Medioni, Object Modelling by Registration of Multiple Range Images, 1992); along the surface only what
+is more than the points' spacing, as at its rim. E: each keypoint has its own, and those of a part that turns share
+more: where its hinge is, no view tells well, and the angle should not pay for it.
 
 A surface point is a weighted sum of keypoints (``template``), so its derivative is that of the keypoints. Gauss-Newton:
 the pairs of nearest points are found anew in each step. One object, camera frame, category units.
@@ -14,6 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from scipy.linalg import block_diag
 from scipy.spatial import KDTree
 
 from omad.common.arrays import as_doubles
@@ -29,24 +35,28 @@ from .template import Template
 class FitConfig:
     """How a surface is fitted; lengths in category units."""
 
-    steps: int = 4
+    steps: int = 8
     noise: float = 0.01
     """Of a point, and of how far a template is from the true surface."""
     cloud: float = 60.0
     """As how many independent measurements all pairs of cloud and surface count."""
     surface: float = 30.0
     """The same of the pairs of visible surface and cloud."""
+    spacing: float = 0.03
+    """Between points: along the surface only what pairs are farther apart counts."""
     robust: float = 0.06
     """Pairs farther apart hardly count."""
     widened: float = 1.5
     """By how much the standard deviations of the fit to the keypoints are widened."""
     own: float = 0.02
-    """Standard deviation of ``e``."""
+    """Standard deviation of ``e``, of each keypoint."""
+    shared: float = 0.03
+    """Of what the keypoints of a part that turns have of it in common."""
     limit_sigma: float = 0.02
     """Of joint states beyond their limits."""
     pixels: int = 96
     """Across the picture that says what is visible."""
-    most: int = 400
+    most: int = 800
     """Points of either kind that are paired."""
 
 
@@ -99,7 +109,7 @@ class SurfaceFit:
     start: State
     """A batch of one, float64: what was found before."""
     precision: Floats
-    """(P, P) of it."""
+    """(P + 3 M, P + 3 M) of it and of ``e``."""
     cloud: Cloud
     config: FitConfig = FitConfig()
 
@@ -109,13 +119,14 @@ class SurfaceFit:
     ) -> SurfaceFit:
         """``covariance`` (P, P) of the unknowns, in ``state``'s order."""
         widened = covariance * config.widened**2 + 1e-10 * np.eye(len(covariance))
-        precision = np.asarray(np.linalg.pinv(widened, hermitian=True), np.float64)
+        of_unknowns = np.asarray(np.linalg.pinv(widened, hermitian=True), np.float64)
+        precision = block_diag(of_unknowns, np.linalg.inv(_own_covariance(prior, config)))
         return cls(prior, limits, start, precision, cloud, config)
 
     def begin(self) -> Placed:
         """What was found before."""
-        still = np.zeros(len(self.precision)), np.zeros((self.prior.num_keypoints, 3))
-        return Placed.at(self.prior, self.start, *still)
+        own = np.zeros((self.prior.num_keypoints, 3))
+        return Placed.at(self.prior, self.start, np.zeros(len(self.precision) - own.size), own)
 
     def visible(self, placed: Placed, template: Template) -> VisibleSurface:
         """What of a placed template the camera sees."""
@@ -138,14 +149,9 @@ class SurfaceFit:
 
     def _step(self, placed: Placed, template: Template) -> Placed:
         by_unknowns = as_doubles(keypoint_jacobian(self.prior, placed.state)[1])[0]
-        unknowns = len(placed.moved)
-        H = np.zeros((unknowns + placed.own.size,) * 2)
-        g = np.zeros(len(H))
-        H[:unknowns, :unknowns] = self.precision
-        g[:unknowns] = -self.precision @ placed.moved
-        own, states = np.arange(unknowns, len(H)), 6 + np.arange(len(self.limits))
-        H[own, own] = self.config.own**-2
-        g[own] = -placed.own.ravel() * self.config.own**-2
+        H = self.precision.copy()
+        g = -self.precision @ np.concatenate([placed.moved, placed.own.ravel()])
+        states = 6 + np.arange(len(self.limits))
         theta = placed.state.joint_states[0].numpy()
         beyond = theta - theta.clip(*self.limits.T)
         H[states, states] += (beyond != 0) / self.config.limit_sigma**2
@@ -156,6 +162,7 @@ class SurfaceFit:
             H += jacobian.T @ jacobian
             g += jacobian.T @ off
         step = np.linalg.solve(H + 1e-9 * np.diag(H.diagonal()), g)
+        unknowns = len(placed.moved)
         moved, e = placed.moved + step[:unknowns], placed.own + step[unknowns:].reshape(-1, 3)
         return Placed.at(self.prior, self.start.moved(torch.as_tensor(moved)[None]), moved, e)
 
@@ -179,16 +186,28 @@ class SurfaceFit:
         """Weighted derivatives (3 n, P + 3 M) of the surface points, and how far off they are (3 n,)."""
         config, count = self.config, len(pairs.points)
         off = self.cloud.points[pairs.points] - seen.points[pairs.surface]
-        root = np.sqrt(pairs.precision(off, config.noise, config.robust))[:, None]
-        unknowns, parts = by_unknowns.shape[2], seen.parts[pairs.surface]
+        unknowns, parts, normals = by_unknowns.shape[2], seen.parts[pairs.surface], seen.normals[pairs.surface]
+        along = normals[:, :, None] * normals[:, None]
+        across = off - (along @ off[:, :, None])[:, :, 0]
+        beyond = 1 - np.minimum(config.spacing / np.linalg.norm(across, axis=1).clip(1e-12), 1)
+        root = np.sqrt(pairs.precision(off, config.noise, config.robust))[:, None, None]
+        root = root * np.where(beyond[:, None, None] > 0, np.eye(3), along)
+        off = off - (1 - beyond)[:, None] * across
         jacobian = np.zeros((count, 3, unknowns + placed.own.size))
         for number, part in enumerate(template.parts):
             rows = np.flatnonzero(parts == number)
             weights = part.samples.weights[seen.which[pairs.surface[rows]]]
-            own = by_unknowns[part.keypoints]
-            jacobian[rows, :, :unknowns] = np.tensordot(weights, own, 1)
-            rotation = placed.pose.T_camera_part[number, :3, :3]
-            by_own = weights[:, None, :, None] * rotation[:, None]
+            jacobian[rows, :, :unknowns] = root[rows] @ np.tensordot(weights, by_unknowns[part.keypoints], 1)
+            turned = root[rows] @ placed.pose.T_camera_part[number, :3, :3]
+            by_own = turned[:, :, None] * weights[:, None, :, None]
             columns = slice(unknowns + 3 * part.keypoints.start, unknowns + 3 * part.keypoints.stop)
-            jacobian[rows, :, columns] = by_own.reshape(len(rows), 3, 3 * weights.shape[1])
-        return (root[..., None] * jacobian).reshape(3 * count, -1), (root * off).ravel()
+            jacobian[rows, :, columns] = by_own.reshape(len(rows), 3, placed.own[part.keypoints].size)
+        return jacobian.reshape(3 * count, -1), (root @ off[:, :, None]).ravel()
+
+
+def _own_covariance(prior: OmadPrior, config: FitConfig) -> Floats:
+    """(3 M, 3 M) of ``e``."""
+    shared = np.zeros((prior.num_keypoints,) * 2)
+    for keypoints, turns in zip(prior.keypoints_of_part[1:], prior.tree.turning, strict=True):
+        shared[keypoints, keypoints] = turns * config.shared**2
+    return np.kron(shared + config.own**2 * np.eye(len(shared)), np.eye(3))
