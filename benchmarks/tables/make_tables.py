@@ -57,14 +57,17 @@ class Config:
     """On each foreign model."""
 
 
-def measured(config: Config, category: str, source: str, noisy: bool, views: int) -> dict[str, Any]:
+def measured(
+    config: Config, category: str, source: str, noisy: bool, views: int, to_surface: bool = False
+) -> dict[str, Any]:
     """The answer of ``omad eval pose``, from the cache where it is there."""
     kind = "procedural" if source == "procedural" else "models"
-    file = config.cache / f"{category}-{kind}-{'on' if noisy else 'off'}-{views}.json"
+    noise = "on" if noisy else "off"
+    file = config.cache / f"{category}-{kind}-{noise}-{views}{'-surface' * to_surface}.json"
     if not file.is_file():
-        print(f"{category}, {kind}, noise {'on' if noisy else 'off'}", file=sys.stderr)
-        data = Views(source=source, views=views, depth_noise="on" if noisy else "off")
-        answer = EvalPose(category=category, data=data).run().record
+        print(f"{category}, {kind}, noise {noise}{', to the surface' * to_surface}", file=sys.stderr)
+        data = Views(source=source, views=views, depth_noise=noise)
+        answer = EvalPose(category=category, data=data, to_surface=to_surface).run().record
         make_folder(config.cache)
         write_atomic(file, lambda path: path.write_text(json.dumps(answer)))
     return json.loads(file.read_text())
@@ -105,6 +108,8 @@ def procedural_table(config: Config) -> list[str]:
             for stage in ("initial", "refined"):
                 row = cells(answer[stage], answer["metres_per_unit"])
                 lines.append(f"| {name} | {'on' if noisy else 'off'} | {stage} | {row}")
+        answer = measured(config, name, "procedural", True, config.views, to_surface=True)
+        lines.append(f"| {name} | on | to surface | {cells(answer['refined'], answer['metres_per_unit'])}")
         if name in PAPER:
             state, axis, distance = PAPER[name]
             lines.append(f"| {name} | | *paper*, refined | {state} | {axis} | {distance} | | | |")
@@ -113,19 +118,23 @@ def procedural_table(config: Config) -> list[str]:
 
 def short_table(config: Config) -> list[str]:
     """Means of refined answers to noisy views, a line a category."""
-    lines = ["| category | joint states | axis angle | within 5°, 5 % | the paper: state, angle |", "|---" * 5 + "|"]
+    kinds = "joint states | axis angle | within 5°, 5 %"
+    lines = [f"| category | {kinds} | *to the surface:* {kinds} | the paper: state, angle |", "|---" * 8 + "|"]
     for name in config.categories:
-        answer = measured(config, name, "procedural", True, config.views)
-        errors, unit = answer["refined"], answer["metres_per_unit"]
-        both = zip(errors["joint_state_error_deg"], errors["joint_state_error"], strict=True)
-        states = ", ".join(f"{a['mean']:.1f}°" if a else f"{b['mean'] / unit:.3f} u" for a, b in both)
-        states += f" ({unit:.2f} m)" if "u" in states else ""
-        axes = max(error["mean"] for error in errors["axis_error_deg"])
+        both = [measured(config, name, "procedural", True, config.views, to_surface=each) for each in (False, True)]
+        refined, to_surface = (short_cells(answer["refined"], answer["metres_per_unit"]) for answer in both)
         state, axis, _ = PAPER.get(name, ("", "", ""))
-        paper = f"{state}, {axis}" if state else ""
-        share = f"{errors['within_5deg_5percent']:.0%}"
-        lines.append(f"| {name} | {states} | {axes:.1f}° | {share} | {paper} |")
+        lines.append(f"| {name} | {refined} | {to_surface} | {f'{state}, {axis}' if state else ''} |")
     return lines
+
+
+def short_cells(errors: dict[str, Any], unit: float) -> str:
+    """Means of states and of the worst joint's axis, and the share within 5 degrees and 5 %."""
+    both = zip(errors["joint_state_error_deg"], errors["joint_state_error"], strict=True)
+    states = ", ".join(f"{a['mean']:.1f}°" if a else f"{b['mean'] / unit:.3f} u" for a, b in both)
+    states += f" ({unit:.2f} m)" if "u" in states else ""
+    axes = max(error["mean"] for error in errors["axis_error_deg"])
+    return f"{states} | {axes:.1f}° | {errors['within_5deg_5percent']:.0%}"
 
 
 def models_table(config: Config, models: Path) -> tuple[list[str], list[str]]:
@@ -135,13 +144,14 @@ def models_table(config: Config, models: Path) -> tuple[list[str], list[str]]:
         source = models / name
         if not source.is_dir():
             continue
-        for noisy in (False, True):
-            count = len(measured(config, name, str(source), False, 1)["refused"])
-            usable = sum(path.is_dir() for path in source.iterdir()) - count
-            answer = measured(config, name, str(source), noisy, config.views_a_model * usable)
+        count = len(measured(config, name, str(source), False, 1)["refused"])
+        views = config.views_a_model * (sum(path.is_dir() for path in source.iterdir()) - count)
+        for noisy, to_surface in ((False, False), (True, False), (True, True)):
+            answer = measured(config, name, str(source), noisy, views, to_surface)
+            noise = ("on" if noisy else "off") + ", to surface" * to_surface
             for entry in answer["by_object"]:
                 row = cells(entry["refined"], answer["metres_per_unit"])
-                lines.append(f"| {name} {entry['object']} | {'on' if noisy else 'off'} | {row}")
+                lines.append(f"| {name} {entry['object']} | {noise} | {row}")
         reasons = ((r["name"], r["reason"].split(": ", 1)[-1]) for r in answer["refused"])
         refused += [f"- {name} {model}: {reason}" for model, reason in reasons]
     return lines, refused

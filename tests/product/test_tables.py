@@ -26,7 +26,7 @@ def test_of_some_categories_only_their_rows_are():
     [
         (make_tables.README, {"accuracy"}),
         (make_tables.PAGE, {"procedural", "models"}),
-        (make_tables.SURFACES, {"shares"}),
+        (make_tables.SURFACES, {"shares", "surfaces"}),
         (make_retrieval_tables.PAGE, {"table3"}),
         (make_robustness_table.PAGE, {"robustness"}),
     ],
