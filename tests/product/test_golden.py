@@ -26,7 +26,7 @@ DATA = Path(__file__).parents[1] / "golden"
 LIMITS = {
     "cabinet_one_door": (1.7, 1.0, 0.026),
     "cabinet_two_doors": (3.4, 1.5, 0.024),
-    "desk_lamp": (5.5, 1.0, 0.032),
+    "desk_lamp": (3.6, 1.4, 0.027),
     "dishwasher": (2.3, 1.0, 0.05),
     "drawer": (0.06, 1.5, None),
     "drawer_1": (0.046, 1.4, None),
@@ -51,13 +51,13 @@ LIMITS = {
 PASSED_OVER = {
     "cabinet_one_door": 13,
     "cabinet_two_doors": 2,
-    "desk_lamp": 3,
+    "desk_lamp": 9,
     "drawer_5": 3,
     "refrigerator_two_doors": 2,
 }
 """Of 24 answers, at most so many are doubtful, or take the object for one of the other hand; 1 of other categories. Of
-cabinets with one door there are 200, as two shut doors among 24 decide how far axes are off, and of staplers 48, whose
-magazine has no visible hinge."""
+cabinets with one door there are 200, as two shut doors among 24 decide how far axes are off, and 48 of staplers, whose
+magazine has no visible hinge, and of desk lamps, whose head is small."""
 
 
 @pytest.fixture(scope="module", params=sorted(CATEGORIES))
