@@ -124,7 +124,8 @@ def short_table(config: Config) -> list[str]:
         both = [measured(config, name, "procedural", True, config.views, to_surface=each) for each in (False, True)]
         refined, to_surface = (short_cells(answer["refined"], answer["metres_per_unit"]) for answer in both)
         state, axis, _ = PAPER.get(name, ("", "", ""))
-        lines.append(f"| {name} | {refined} | {to_surface} | {f'{state}, {axis}' if state else ''} |")
+        length = f" ({both[0]['metres_per_unit']:.2f} m)" if " u" in refined else ""
+        lines.append(f"| {name}{length} | {refined} | {to_surface} | {f'{state}, {axis}' if state else ''} |")
     return lines
 
 
@@ -132,7 +133,6 @@ def short_cells(errors: dict[str, Any], unit: float) -> str:
     """Means of states and of the worst joint's axis, and the share within 5 degrees and 5 %."""
     both = zip(errors["joint_state_error_deg"], errors["joint_state_error"], strict=True)
     states = ", ".join(f"{a['mean']:.1f}°" if a else f"{b['mean'] / unit:.3f} u" for a, b in both)
-    states += f" ({unit:.2f} m)" if "u" in states else ""
     axes = max(error["mean"] for error in errors["axis_error_deg"])
     return f"{states} | {axes:.1f}° | {errors['within_5deg_5percent']:.0%}"
 
