@@ -119,9 +119,9 @@ class SurfaceFit:
     ) -> SurfaceFit:
         """``covariance`` (P, P) of the unknowns, in ``state``'s order."""
         widened = covariance * config.widened**2 + 1e-10 * np.eye(len(covariance))
-        of_unknowns = np.asarray(np.linalg.pinv(widened, hermitian=True), np.float64)
-        precision = block_diag(of_unknowns, np.linalg.inv(_own_covariance(prior, config)))
-        return cls(prior, limits, start, precision, cloud, config)
+        own = np.linalg.inv(_own_covariance(prior, config))
+        precision = block_diag(np.linalg.pinv(widened, hermitian=True), own)
+        return cls(prior, limits, start, np.asarray(precision, np.float64), cloud, config)
 
     def begin(self) -> Placed:
         """What was found before."""
@@ -205,7 +205,7 @@ class SurfaceFit:
         return jacobian.reshape(3 * count, -1), (root @ off[:, :, None]).ravel()
 
 
-def _own_covariance(prior: OmadPrior, config: FitConfig) -> Floats:
+def _own_covariance(prior: OmadPrior, config: FitConfig) -> np.ndarray:
     """(3 M, 3 M) of ``e``."""
     shared = np.zeros((prior.num_keypoints,) * 2)
     for keypoints, turns in zip(prior.keypoints_of_part[1:], prior.tree.turning, strict=True):
