@@ -50,7 +50,7 @@ def main(categories: tuple[str, ...] = ("dishwasher", "refrigerator_two_doors"),
             row = np.array([*off.joint_state * per_unit, np.degrees(off.rotation[0]), np.nan])
             errors.setdefault("keypoints", []).append(row)
             for way, settings in WAYS.items():
-                surfaces.config = replace(surfaces.config, fit=replace(FitConfig(), **settings))
+                surfaces.config = replace(surfaces.config, fit=FitConfig(**settings))
                 seen = estimate.labelled.points, estimate.part_labels
                 fitted = surfaces.fitted(estimate, estimate.covariance, *seen)
                 off = pose_errors(fitted.placed, truth, view.truth.part_boxes, category)

@@ -17,11 +17,12 @@ from typing import Any
 
 import numpy as np
 import tyro
+from make_tables import kept
 
 from omad.cli.evaluate import EvalPose
 from omad.cli.options import Views
 from omad.common.errors import InputError
-from omad.common.files import write_atomic, write_json
+from omad.common.files import write_atomic
 from omad.data.procedural import generate
 from omad.model.checkpoint import find_weights, load, shipped_categories, training_record
 from omad.model.omadnet import OmadNet
@@ -149,15 +150,12 @@ def errors(config: Config, name: str, category: Category) -> Iterator[str]:
 def measured(config: Config, name: str, label: str, source: str, noise: bool) -> dict[str, Any] | None:
     """The answer of ``omad eval pose``, from the cache where it is there; None where the source has no such objects."""
     file = config.cache / f"{name}-{label.replace(' ', '-')}-{'noise' if noise else 'clean'}-{config.views}.json"
-    if not file.is_file():
-        print(name, label, file=sys.stderr)
-        data = Views(source=source, objects=50, views=config.views, depth_noise="on" if noise else "off")
-        try:
-            write_json(file, EvalPose(category=name, data=data).run().record)
-        except InputError as error:
-            print(f"left out: {error}", file=sys.stderr)
-            return None
-    return json.loads(file.read_text())
+    data = Views(source=source, objects=50, views=config.views, depth_noise="on" if noise else "off")
+    try:
+        return kept(file, lambda: EvalPose(category=name, data=data).run().record)
+    except InputError as error:
+        print(f"left out: {error}", file=sys.stderr)
+        return None
 
 
 def cells(record: dict[str, Any], category: Category) -> Iterator[str]:

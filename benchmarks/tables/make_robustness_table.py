@@ -11,17 +11,15 @@ The table stands between ``<!-- robustness -->`` and ``<!-- end -->``, that of o
 
 from __future__ import annotations
 
-import json
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import tyro
-from make_tables import replaced
+from make_tables import kept, replaced
 
 from omad.cli.evaluate import EvalRobustness, SpoiltViews
-from omad.common.files import write_atomic, write_json
+from omad.common.files import write_atomic
 
 PAGE = Path(__file__).parents[2] / "docs" / "robustness.md"
 
@@ -43,12 +41,9 @@ def measured(config: Config, category: str) -> dict[str, Any]:
     name, _, other = category.partition("/")
     kind, source = ("", "procedural") if config.models is None else ("-models", str(config.models / name))
     file = config.cache / f"{category.replace('/', '-')}{kind}-{config.views}.json"
-    if not file.is_file():
-        print(category, file=sys.stderr)
-        weights = Path(category) if other else None
-        data = SpoiltViews(source=source, views=config.views)
-        write_json(file, EvalRobustness(category=name, weights=weights, data=data).run().record)
-    return json.loads(file.read_text())
+    weights = Path(category) if other else None
+    data = SpoiltViews(source=source, views=config.views)
+    return kept(file, lambda: EvalRobustness(category=name, weights=weights, data=data).run().record)
 
 
 def table(answers: dict[str, dict[str, Any]]) -> list[str]:

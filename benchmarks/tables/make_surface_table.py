@@ -8,19 +8,16 @@ other people's models are empty. Rows of categories that are not asked for stay.
 
 from __future__ import annotations
 
-import json
-import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import tyro
-from make_tables import PAPER, SURFACES, replaced
+from make_tables import SURFACES, in_order, kept, replaced
 
 from omad.cli.evaluate import EvalShape
 from omad.cli.options import Views
-from omad.common.files import make_folder, write_atomic
-from omad.model.checkpoint import shipped_categories
+from omad.common.files import write_atomic
 
 COLUMNS = "distance | F"
 
@@ -43,13 +40,8 @@ def measured(config: Config, category: str, source: str, views: int) -> dict[str
     """The answer of ``omad eval shape``, from the cache where it is there."""
     kind = "procedural" if source == "procedural" else "models"
     file = config.cache / f"{category}-{kind}-{views}.json"
-    if not file.is_file():
-        print(f"{category}, {kind}", file=sys.stderr)
-        data = Views(source=source, objects=config.views, views=views)
-        answer = EvalShape(category=category, data=data).run().record
-        make_folder(config.cache)
-        write_atomic(file, lambda path: path.write_text(json.dumps(answer)))
-    return json.loads(file.read_text())
+    data = Views(source=source, objects=config.views, views=views)
+    return kept(file, lambda: EvalShape(category=category, data=data).run().record)
 
 
 def cells(answer: dict[str, Any]) -> str:
@@ -75,10 +67,8 @@ def table(config: Config) -> list[str]:
 
 def main(config: Config) -> None:
     some = config.categories
-    if not some:
-        names = (*PAPER, *(name for name in shipped_categories() if name not in PAPER))
-        config = replace(config, categories=names)
-    text = replaced(SURFACES.read_text(), "surfaces", table(config), some)
+    lines = table(replace(config, categories=some or in_order()))
+    text = replaced(SURFACES.read_text(), "surfaces", lines, some)
     write_atomic(SURFACES, lambda path: path.write_text(text))
 
 

@@ -14,6 +14,7 @@ from __future__ import annotations
 import json
 import re
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
@@ -24,7 +25,7 @@ import tyro
 
 from omad.cli.evaluate import EvalPose
 from omad.cli.options import Views
-from omad.common.files import make_folder, write_atomic
+from omad.common.files import write_atomic, write_json
 from omad.model.checkpoint import find_weights, shipped_categories
 from omad.model.surfaces.bank import FILE
 from omad.model.surfaces.shares import Shares
@@ -64,12 +65,15 @@ def measured(
     kind = "procedural" if source == "procedural" else "models"
     noise = "on" if noisy else "off"
     file = config.cache / f"{category}-{kind}-{noise}-{views}{'-surface' * to_surface}.json"
+    data = Views(source=source, views=views, depth_noise=noise)
+    return kept(file, lambda: EvalPose(category=category, data=data, to_surface=to_surface).run().record)
+
+
+def kept(file: Path, measure: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+    """What was measured, from the ``file`` where it is there."""
     if not file.is_file():
-        print(f"{category}, {kind}, noise {noise}{', to the surface' * to_surface}", file=sys.stderr)
-        data = Views(source=source, views=views, depth_noise=noise)
-        answer = EvalPose(category=category, data=data, to_surface=to_surface).run().record
-        make_folder(config.cache)
-        write_atomic(file, lambda path: path.write_text(json.dumps(answer)))
+        print(file.stem, file=sys.stderr)
+        write_json(file, measure())
     return json.loads(file.read_text())
 
 
@@ -197,6 +201,11 @@ def put_in(before: list[str], lines: list[str], some: tuple[str, ...]) -> list[s
     return [*after, *chain(*rows.values())]
 
 
+def in_order() -> tuple[str, ...]:
+    """Categories with weights, the paper's first."""
+    return (*PAPER, *(name for name in shipped_categories() if name not in PAPER))
+
+
 def whose(line: str) -> str:
     """Category that a row begins with, or a line of a list."""
     return line.split()[1] if line.startswith(("| ", "- ")) else ""
@@ -204,9 +213,7 @@ def whose(line: str) -> str:
 
 def main(config: Config) -> None:
     some = config.categories
-    if not some:
-        names = (*PAPER, *(name for name in shipped_categories() if name not in PAPER))
-        config = replace(config, categories=names)
+    config = replace(config, categories=some or in_order())
     short = replaced(README.read_text(), "accuracy", short_table(config), some)
     write_atomic(README, lambda path: path.write_text(short))
     text = replaced(PAGE.read_text(), "procedural", procedural_table(config), some)
