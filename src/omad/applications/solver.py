@@ -100,7 +100,7 @@ class Solver:
         if not further:
             return Found.of(estimate, checks)
         checks += gravity_doubts(observation, estimate, self.known, chosen)
-        if not checks:
+        if all(check.name == "residual" for check in checks):  # which a wrong focal length may explain, too
             checks += camera_doubts(observation, estimate, lambda views: chosen(views, self.known))
         odd_size = any(check.name == "size" for check in checks)  # of which every category says anything
         if (checks and not odd_size) or self.compare:

@@ -32,6 +32,8 @@ FOCAL_LENGTHS = (0.5, 2 / 3, 0.8, 1.25, 1.5, 2.0)
 """Of the one given, which may be right instead: those of other sizes of the image."""
 BETTER = 1.5
 """By how much better model and seen keypoints then fit; with the right one hardly any view of unseen objects does."""
+CERTAIN = 0.999
+"""Probabilities from which on answers are equally likely."""
 UNEXPLAINED = 0.25
 """Share of the pixels of object and surface where the one is where the other is, 0.7 in a usual view, below which they
 are of two things."""
@@ -146,7 +148,8 @@ def camera_doubts(
     observation: Observation, estimate: Estimate, estimator: Callable[[list[Observation]], list[Estimate]]
 ) -> list[Check]:
     """Where an object of the category fits what was seen much better with another focal length: a longer one makes it
-    narrower, and as deep as before. ``estimator`` is asked once more, for all of ``FOCAL_LENGTHS`` together."""
+    narrower, and as deep as before. A less likely answer has to fit better by as much as its odds are worse.
+    ``estimator`` is asked once more, for all of ``FOCAL_LENGTHS`` together."""
     camera, points = observation.camera, observation.points
     if camera is None:
         return []
@@ -154,8 +157,8 @@ def camera_doubts(
     found = estimator(views)
     residuals = np.array([one.residual for one in found])
     best = int(np.nan_to_num(residuals, nan=np.inf).argmin())
-    less_likely = _probability(found[best]) < (estimate.probability or 0.0)
-    if less_likely or not estimate.residual > BETTER * residuals[best]:
+    less_likely = min(1.0, _odds(found[best]) / _odds(estimate))
+    if not estimate.residual * less_likely > BETTER * residuals[best]:
         return []
     likely = f"{FOCAL_LENGTHS[best] * camera.fx:.0f}"
     what = (
@@ -195,6 +198,11 @@ def gravity_doubts(
 def _probability(estimate: Estimate) -> float:
     """Of one without, nothing speaks against it."""
     return 1.0 if estimate.probability is None else estimate.probability
+
+
+def _odds(estimate: Estimate) -> float:
+    probability = float(np.clip(_probability(estimate), 1 - CERTAIN, CERTAIN))
+    return probability / (1 - probability)
 
 
 def _view_doubts(observation: Observation) -> Iterator[Check]:
