@@ -90,7 +90,7 @@ def views() -> list[omad.Observation]:
     network unsure."""
     category = omad.get_category("laptop")
     found = []
-    for index in range(4):
+    for index in range(8):
         view = standard_view(generate(category, index, "test"), category, (index, 5))
         rows, columns = np.nonzero(view.depth)
         wall = np.where(view.depth > 0, view.depth, np.float32(1.2 * view.depth.max()))
@@ -114,17 +114,19 @@ def views() -> list[omad.Observation]:
 def test_it_answers_as_the_estimator_does(deployed):
     """To a hundredth of a millimetre and a thousandth of a degree, also where points are left out and where it looks
     again; the graph adds in another order. Of one view in thirteen rounding may decide something: whether a point is
-    left out, say, with which all others are chosen anew; such answers differ by less than their own deviations."""
+    left out, say, with which all others are chosen anew, or when least squares ends; such answers differ by less than
+    half their own deviations."""
     estimator, program = omad.Estimator.from_pretrained("laptop", "cpu"), program_file.Program(deployed)
     crowded = unsure = decided = 0
     for view in views():
         truth, found = estimator(view), program(view.points)
-        if abs(found.joint_states - truth.joint_states).max() > 2e-5:
+        turned = abs(found.joint_states - truth.joint_states).max()
+        moved = np.linalg.norm(found.keypoints - truth.keypoints, axis=1)
+        if turned > 2e-5 or moved.max() > 1e-5:
             decided += 1
-            assert abs(found.joint_states - truth.joint_states).max() < 2 * truth.joints[0].state_std
+            assert turned < truth.joints[0].state_std / 2
+            assert (moved < truth.keypoint_std / 2).all()
             continue
-        np.testing.assert_allclose(found.joint_states, truth.joint_states, atol=2e-5)
-        np.testing.assert_allclose(found.keypoints, truth.keypoints, atol=1e-5)
         np.testing.assert_allclose(found.T_camera_part, truth.T_camera_part, atol=2e-5)
         np.testing.assert_allclose(found.axes, [joint.axis for joint in truth.joints], atol=2e-5)
         np.testing.assert_allclose(found.pivots, [joint.pivot for joint in truth.joints], atol=2e-5)
@@ -136,7 +138,7 @@ def test_it_answers_as_the_estimator_does(deployed):
         unsure += np.exp(np.log(truth.keypoint_std).mean()) > 0.08 * estimator.category.metres_per_unit
     assert crowded >= 3  # of the ways that views can go, all were gone
     assert unsure >= 1
-    assert decided <= 1
+    assert decided <= 2  # of 25
 
 
 @needs
