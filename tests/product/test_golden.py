@@ -27,7 +27,7 @@ LIMITS = {
     "cabinet_one_door": (1.7, 1.0, 0.026),
     "cabinet_two_doors": (3.4, 1.5, 0.024),
     "desk_lamp": (3.6, 1.4, 0.027),
-    "dishwasher": (2.3, 1.0, 0.05),
+    "dishwasher": (2.1, 0.85, 0.05),
     "drawer": (0.06, 1.5, None),
     "drawer_1": (0.046, 1.4, None),
     "drawer_2": (0.06, 1.9, None),
