@@ -28,7 +28,7 @@ LIMITS = {
     "cabinet_two_doors": (3.4, 1.5, 0.024),
     "desk_lamp": (3.6, 1.4, 0.027),
     "dishwasher": (2.1, 0.85, 0.05),
-    "drawer": (0.06, 1.5, None),
+    "drawer": (0.055, 1.0, None),
     "drawer_1": (0.046, 1.4, None),
     "drawer_2": (0.06, 1.9, None),
     "drawer_4": (0.09, 1.4, None),
@@ -44,7 +44,7 @@ LIMITS = {
     "safe": (2.0, 1.1, 0.034),
     "scissors": (3.4, 1.6, 0.015),
     "stapler": (2.6, 1.1, 0.08),
-    "suitcase": (2.2, 1.3, 0.026),
+    "suitcase": (3.2, 1.0, 0.026),
     "trash_can": (2.5, 5.8, 0.041),
     "washing_machine": (2.3, 1.4, 0.028),
 }
@@ -56,8 +56,9 @@ PASSED_OVER = {
     "refrigerator_two_doors": 2,
 }
 """Of 24 answers, at most so many are doubtful, or take the object for one of the other hand; 1 of other categories. Of
-cabinets with one door there are 200, as two shut doors among 24 decide how far axes are off, and 48 of staplers, whose
-magazine has no visible hinge, and of desk lamps, whose head is small."""
+cabinets with one door there are 200, as two shut doors among 24 decide how far axes are off, 48 of staplers, whose
+magazine has no visible hinge, and of desk lamps, whose head is small, and 40 of suitcases, one of which is 40 degrees
+off without being doubtful."""
 
 
 @pytest.fixture(scope="module", params=sorted(CATEGORIES))
