@@ -28,11 +28,11 @@ from .late import AnyEstimator
 from .proposals import Proposals
 
 USUAL = Path(__file__).with_name("usual.json")
-LOG_ODDS = np.array([0.22, 2.9, 1.1, 4.3, 13, 2.9, 1.7, 6])
+LOG_ODDS = np.array([0.32, 2.7, 1.3, 0, 14, 3.2, 2.4, 5.5])
 """Per unit of what speaks ``against`` a category, in its order."""
-PROPOSED = 0.72
+PROPOSED = 0.7
 """Per unit of the look's log-odds of none over a category."""
-OFFSET = 1.8
+OFFSET = 2.0
 """Log-odds of a category over none where no more than usual speaks against it, and the look takes it for as likely."""
 SURE = 0.8
 """Probability from which on another category is suspected."""
