@@ -63,8 +63,8 @@ def main(config: Config) -> None:
     print(PAGE)
 
 
-def card(name: str, errors: str) -> str:
-    """One category's, with its table of errors."""
+def card(name: str, found: str) -> str:
+    """One category's, with the table of errors that were ``found``."""
     folder = find_weights(name)
     net = load(OmadNet, folder)
     trainings = stages(training_record(OmadNet, folder), name)
@@ -84,7 +84,7 @@ def card(name: str, errors: str) -> str:
     table = ["| | |", "|---|---|", *(f"| {key} | {value} |" for key, value in facts.items())]
     listed = [f"{number}. {training}" for number, training in enumerate(trainings, 1)]
     all_of_them = ["<details><summary>All trainings of the network</summary>", "", *listed, "", "</details>"]
-    return "\n".join([f"{TITLE}{name}", "", *table, "", *all_of_them, "", errors.rstrip(), ""])
+    return "\n".join([f"{TITLE}{name}", "", *table, "", *all_of_them, "", found.rstrip(), ""])
 
 
 def joints(category: Category) -> Iterator[str]:

@@ -1,6 +1,6 @@
 """``python -m omad``, and the command ``omad``."""
 
-from omad.common.signals import end_at_once
+from omad.common.processes.signals import end_at_once
 
 
 def main() -> None:

@@ -127,6 +127,10 @@ def test_it_answers_as_the_estimator_does(deployed):
             decided += 1
             assert turned < truth.joints[0].state_std / 2
             assert (moved < truth.keypoint_std / 2).all()
+            base = abs(found.T_camera_part[0] - truth.T_camera_part[0])
+            rotation, translation = np.sqrt(truth.covariance.diagonal()[:6]).reshape(2, 3).max(1)
+            assert base[:3, :3].max() < rotation / 2
+            assert base[:3, 3].max() < translation / 2
             continue
         np.testing.assert_allclose(found.axes, [joint.axis for joint in truth.joints], atol=2e-5)
         np.testing.assert_allclose(found.pivots, [joint.pivot for joint in truth.joints], atol=2e-5)

@@ -23,7 +23,7 @@ from omad.applications.retrieval.large.parts import Portion
 from omad.applications.retrieval.large.stream import _whole_objects
 from omad.applications.retrieval.signature import Signature, Space
 from omad.common.errors import InputError
-from omad.common.locks import only_one
+from omad.common.processes.locks import only_one
 from omad.model.prior import OmadPrior
 
 pytestmark = pytest.mark.skipif(

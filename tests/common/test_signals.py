@@ -12,14 +12,14 @@ pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals as POSIX has th
 
 START_UP = """
 import time
-from omad.common.signals import end_at_once
+from omad.common.processes.signals import end_at_once
 end_at_once()
 print("ready", flush=True)
 time.sleep(60)
 """
 WORK = """
 import time
-from omad.common.signals import raise_in_work
+from omad.common.processes.signals import raise_in_work
 raise_in_work()
 try:
     print("ready", flush=True)
@@ -29,7 +29,7 @@ except KeyboardInterrupt as error:
 """
 HELPERS = """
 import os, time
-from omad.common.workers import helpers
+from omad.common.processes.workers import helpers
 
 def begin(): ...
 

@@ -12,7 +12,7 @@ import torch
 from torch import Generator, Tensor, nn
 
 from omad.common.errors import WorkError
-from omad.common.signals import raise_in_work
+from omad.common.processes.signals import raise_in_work
 from omad.training.loop import Schedule, train
 from omad.training.processes import Processes, start
 

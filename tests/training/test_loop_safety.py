@@ -13,7 +13,7 @@ from torch import nn
 from helpers.categories import LAPTOP
 from omad.common import files
 from omad.common.errors import InputError, WorkError
-from omad.common.locks import only_one
+from omad.common.processes.locks import only_one
 from omad.data.procedural import generate
 from omad.model.priornet import PriorNet
 from omad.training.loop import Schedule, train

@@ -19,7 +19,7 @@ import tyro
 from omad import __version__
 from omad.common.errors import InputError, WorkError, shown
 from omad.common.files import NO_ROOM, one_line
-from omad.common.signals import end_at_once, exit_code, raise_in_work
+from omad.common.processes.signals import end_at_once, exit_code, raise_in_work
 
 from .answer import as_json
 from .estimate import Detect, EstimateCommand

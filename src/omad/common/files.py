@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from .errors import InputError, WorkError
-from .locks import try_lock
+from .processes.locks import try_lock
 
 TEMPORARY = ".omad-"
 """What names of unfinished files begin with."""

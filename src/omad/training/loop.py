@@ -20,8 +20,8 @@ from omad.common.arrays import digest_of
 from omad.common.errors import InputError, WorkError
 from omad.common.files import make_folder, write_atomic, write_text, writing
 from omad.common.incoming import check_file, read_text, readable
-from omad.common.locks import only_one
-from omad.common.signals import deferred
+from omad.common.processes.locks import only_one
+from omad.common.processes.signals import deferred
 from omad.data.surface_bank import SurfaceBank
 from omad.model.checkpoint import Network
 from omad.objects.category import Category

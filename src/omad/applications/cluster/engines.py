@@ -16,7 +16,7 @@ import torch
 
 from omad.common.errors import WorkError
 from omad.common.files import one_line
-from omad.common.workers import helpers
+from omad.common.processes.workers import helpers
 from omad.data.shards.parquet import part_name
 
 from .shards import Done, Engine, Plan

@@ -12,7 +12,7 @@ import h11
 import uvicorn
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-from omad.common.signals import NAMES
+from omad.common.processes.signals import NAMES
 
 from ..own_address import is_loopback, is_own_name
 

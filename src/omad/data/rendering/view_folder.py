@@ -32,7 +32,7 @@ from omad.common.errors import InputError
 from omad.common.files import write_atomic, write_json
 from omad.common.incoming import decoded, is_file, read_image, read_json, read_record
 from omad.common.limits import limits
-from omad.common.workers import helpers
+from omad.common.processes.workers import helpers
 from omad.geometry.camera import STANDARD_CAMERA, Camera
 from omad.geometry.rigid import is_rotation
 from omad.objects.category import Category

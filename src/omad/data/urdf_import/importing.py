@@ -21,7 +21,7 @@ from tqdm import tqdm
 from omad.common.errors import InputError
 from omad.common.files import make_folder, write_json
 from omad.common.incoming import read_record
-from omad.common.locks import only_one
+from omad.common.processes.locks import only_one
 from omad.objects.category import Category
 from omad.objects.model import ObjectModel
 from omad.objects.urdf import mesh_files, write_urdf

@@ -14,7 +14,7 @@ import numpy as np
 from omad.common.errors import InputError
 from omad.common.files import make_folder
 from omad.common.incoming import read_arrays
-from omad.common.locks import only_one
+from omad.common.processes.locks import only_one
 
 from ..index import Entry, Hit, ShapeIndex, nearest_objects
 from ..search import Neighbours
