@@ -3,6 +3,7 @@
 import pytest
 
 from helpers.command_line import answer, refused
+from omad.model.backbones import get_backbone
 from omad.model.checkpoint import load, training_record
 from omad.model.proposals.network import ProposalNet
 
@@ -25,7 +26,14 @@ def test_a_checkpoint_knows_what_it_was_trained_for(capsys, tmp_path):
     assert answer(capsys, *more)["categories"] == ["jar", "safe"]
 
 
+def test_a_finer_look_begins_with_what_a_slim_one_knows(capsys, tmp_path):
+    answer(capsys, *TINY, "--categories", "jar", "--size", "fine", "--device", "cpu")
+    assert load(ProposalNet, tmp_path / "run").backbone.config == get_backbone("fine")
+
+
 def test_what_cannot_be_is_refused(capsys):
     assert "submarine" in refused(capsys, *TINY, "--categories", "submarine")
     assert "nowhere" in refused(capsys, *TINY, "--initial", "nowhere")
+    assert "--size huge" in refused(capsys, *TINY, "--size", "huge")
+    assert "--features laptop" in refused(capsys, *TINY, "--size", "paper")
     assert "--strangers" in refused(capsys, *TINY[:-6], "--strangers", "0")

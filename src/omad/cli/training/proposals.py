@@ -19,7 +19,7 @@ from .schedule import ScheduleOptions
 with lazy_imports():
     from omad.common.runtime import pick_device
     from omad.data.source import load_models
-    from omad.model.backbones import BackboneConfig
+    from omad.model.backbones import BackboneConfig, get_backbone
     from omad.model.checkpoint import find_weights, load, save
     from omad.model.omadnet import OmadNet
     from omad.model.proposals import network
@@ -44,6 +44,8 @@ class TrainProposals:
     initial: str | None = None
     """Checkpoint to start from in place of that, or shipped: also one that knows other categories, where some are
     added, say."""
+    size: str | None = None
+    """Of the backbone, as of train net; default: of the checkpoint that it starts from, or slim."""
     schedule: OmitArgPrefixes[ScheduleOptions] = ScheduleOptions()
     device: Device = "auto"
     json: Json = False
@@ -51,10 +53,11 @@ class TrainProposals:
     def run(self) -> Answer:
         check_positive(objects=self.objects, strangers=self.strangers)
         names = generable(self.categories)
-        preset = ProposalTraining()
+        preset, (begun, backbone) = ProposalTraining(), self._begun()
         schedule = self.schedule.of(preset.schedule)
-        settings = replace(preset, schedule=schedule, strangers=self.strangers)
-        device, begun = pick_device(self.device), self._begun(settings.backbone)
+        views = replace(preset.views, points=backbone.points)
+        settings = replace(preset, schedule=schedule, strangers=self.strangers, backbone=backbone, views=views)
+        device = pick_device(self.device)
         categories = [omad.get_category(name) for name in names]
         models = [load_models("procedural", one, self.objects, "train", 0).models for one in categories]
         net = train_proposals(models, categories, self.output, settings, device, **begun)
@@ -62,16 +65,18 @@ class TrainProposals:
         save(net, self.output, made_of | {"schedule": asdict(schedule), "version": omad.__version__})
         return Answer({"checkpoint": str(self.output), "categories": list(names)})
 
-    def _begun(self, backbone: BackboneConfig) -> dict[str, Any]:
-        """What it begins with, as ``train_proposals`` takes it."""
+    def _begun(self) -> tuple[dict[str, Any], BackboneConfig]:
+        """What it begins with, as ``train_proposals`` takes it, and the backbone."""
+        found: dict[str, Any] = {}
         if self.initial is not None:
             folder = network.WEIGHTS if self.initial == "shipped" else Path(self.initial)
-            found: dict[str, Any] = {"initial": load(network.ProposalNet, folder)}
+            found["initial"] = load(network.ProposalNet, folder)
         elif self.features != "nothing":
-            found = {"features": load(OmadNet, find_weights(self.features))}
-        else:
-            return {}
-        [(name, net)] = found.items()
-        if not backbone.takes_weights_of(net.backbone.config):
-            raise InputError(f"--{name} {getattr(self, name)}: has no weights for a slim network; give one that has")
-        return found
+            found["features"] = load(OmadNet, find_weights(self.features))
+        size = self.size or "slim"
+        start = found.get("initial") if self.size is None else None
+        backbone = get_backbone(size) if start is None else start.backbone.config
+        for name, net in found.items():
+            if not backbone.takes_weights_of(net.backbone.config):
+                raise InputError(f"--{name} {getattr(self, name)}: has no weights for size {size}; give one that has")
+        return found, backbone

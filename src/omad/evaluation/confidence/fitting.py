@@ -14,7 +14,7 @@ from torch.nn.functional import binary_cross_entropy_with_logits, softplus
 from omad.common.batches import batched, progress
 from omad.common.errors import InputError
 from omad.estimation.confidence.model import Confidence, FittedTo, deviations, image_inputs, joint_inputs
-from omad.estimation.confidence.perceptron import FARTHEST, Perceptron
+from omad.estimation.confidence.perceptron import FARTHEST, Perceptron, Row
 from omad.estimation.confidence.signals import IMAGE, JOINT, Signals
 from omad.estimation.estimator import Estimator
 from omad.objects.category import Category
@@ -33,6 +33,8 @@ DECAYS = (3e-3, 1e-2, 3e-2)
 """Of the squared weights of the hidden layer, a tenth of it for the linear function: the best of them is found ..."""
 FOLDS = 3
 """... by fits that leave out a third each."""
+DIGITS = 8
+"""Of the fitted numbers: single precision has no more, and the file is half as long."""
 SMALLEST = 1e-4
 """Added to errors before their logarithm is taken, category units or radians."""
 FEWEST = 200
@@ -173,5 +175,9 @@ def _fitted(inputs: np.ndarray, targets: Tensor, loss: Loss, start: Sequence[flo
         (loss(said, targets) + decay * size).backward()
         optimiser.step()
         schedule.step()
-    rows = ([tuple(row) for row in weights.detach().tolist()] for weights in (hidden, bent, straight))
-    return Perceptron(tuple(mean.tolist()), tuple(spread.tolist()), *map(tuple, rows))
+    rows = (tuple(map(_short, weights.detach())) for weights in (hidden, bent, straight))
+    return Perceptron(_short(mean), _short(spread), *rows)
+
+
+def _short(row: Tensor | np.ndarray) -> Row:
+    return tuple(float(f"{value:.{DIGITS}g}") for value in row.tolist())
