@@ -84,7 +84,7 @@ def test_the_shipped_look_proposes_the_true_category():
     for name in names:
         for found in propose([view(name, index) for index in range(6)]):
             there.append(name in Proposals.of(found, names).worth_fitting(names))
-    assert np.mean(there) >= 0.95
+    assert np.mean(there) >= 0.98
 
 
 def test_only_proposed_categories_are_loaded(monkeypatch):
@@ -129,13 +129,16 @@ def near(name: str) -> set[str]:
 
 def test_a_chair_is_none_of_them_and_objects_are_not():
     assert sum(rank(chair_view(seed).observation(), estimators()).is_none for seed in range(5)) >= 4
-    right = []
+    right, almost = [], []
     for name in shipped_categories():
         for index in range(2):
             ranking = rank(view(name, index), estimators())
-            right.append(not ranking.is_none and ranking.candidates[0].estimate.category.name in near(name))
+            found = None if ranking.is_none else ranking.candidates[0].estimate.category.name
+            right.append(found == name)
+            almost.append(found in near(name))
             assert ranking.none + sum(one.probability for one in ranking.candidates) == pytest.approx(1)
     assert np.mean(right) >= 0.85
+    assert np.mean(almost) >= 0.94
 
 
 def test_those_asked_for_are_always_fitted():

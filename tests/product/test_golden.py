@@ -43,9 +43,9 @@ LIMITS = {
     "refrigerator_two_doors": (3.1, 1.1, 0.018),
     "safe": (2.0, 1.1, 0.034),
     "scissors": (3.4, 1.6, 0.015),
-    "stapler": (2.6, 1.1, 0.08),
+    "stapler": (2.5, 1.1, 0.075),
     "suitcase": (3.2, 1.0, 0.026),
-    "trash_can": (2.5, 5.8, 0.041),
+    "trash_can": (2.5, 3.2, 0.041),
     "washing_machine": (2.3, 1.4, 0.028),
 }
 PASSED_OVER = {

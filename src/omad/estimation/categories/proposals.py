@@ -16,7 +16,7 @@ UNKNOWN = 0.05
 """Probability of a category that the look does not know, as one of a user's own."""
 LEAST = 1e-4
 """Probability of anything."""
-UNASKED = 0.1
+UNASKED = 0.01
 """As how many times as likely as the look has it a category with weights counts that was not asked for: who names
 categories knows what may be there, as a look does not, which takes one for its like."""
 
