@@ -201,9 +201,7 @@ class _NetTraining(_Training):
     takes twice as long; paper: the paper's PointNet++. Default: of what it starts from, or slim."""
 
     def backbone(self, start: OmadNet | None = None) -> BackboneConfig:
-        if self.size is None and start is not None:
-            return start.backbone.config
-        return get_backbone(self.size or "slim")
+        return get_backbone(self.size, None if start is None else start.backbone.config)
 
     def views(self, backbone: BackboneConfig, clutter: Clutter | None = None) -> ViewSettings:
         """Of as many points as the backbone will be shown."""

@@ -67,16 +67,15 @@ class TrainProposals:
 
     def _begun(self) -> tuple[dict[str, Any], BackboneConfig]:
         """What it begins with, as ``train_proposals`` takes it, and the backbone."""
-        found: dict[str, Any] = {}
+        found, start = dict[str, Any](), None
         if self.initial is not None:
             folder = network.WEIGHTS if self.initial == "shipped" else Path(self.initial)
             found["initial"] = load(network.ProposalNet, folder)
+            start = found["initial"].backbone.config
         elif self.features != "nothing":
             found["features"] = load(OmadNet, find_weights(self.features))
-        size = self.size or "slim"
-        start = found.get("initial") if self.size is None else None
-        backbone = get_backbone(size) if start is None else start.backbone.config
+        backbone = get_backbone(self.size, start)
         for name, net in found.items():
             if not backbone.takes_weights_of(net.backbone.config):
-                raise InputError(f"--{name} {getattr(self, name)}: has no weights for size {size}; give one that has")
+                raise InputError(f"--{name} {getattr(self, name)}: has no weights for such a size; change --size")
         return found, backbone

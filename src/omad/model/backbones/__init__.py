@@ -21,8 +21,11 @@ BACKBONES: dict[str, BackboneConfig] = {
 SLIM = BACKBONES["slim"]
 
 
-def get_backbone(name: str) -> BackboneConfig:
-    """Raises InputError for a name that is not in ``BACKBONES``."""
+def get_backbone(name: str | None, start: BackboneConfig | None = None) -> BackboneConfig:
+    """That of a name; where none is given, that of what a training starts from, or the slim one. Raises InputError for
+    a name that is not in ``BACKBONES``."""
+    if name is None:
+        return start or SLIM
     if name not in BACKBONES:
         raise InputError(f"--size {name}: no such backbone; choose one of {', '.join(BACKBONES)}")
     return BACKBONES[name]
