@@ -30,7 +30,7 @@ LIMITS = {
     "dishwasher": (2.1, 0.85, 0.05),
     "drawer": (0.055, 1.0, None),
     "drawer_1": (0.046, 1.4, None),
-    "drawer_2": (0.06, 1.9, None),
+    "drawer_2": (0.048, 1.3, None),
     "drawer_4": (0.065, 1.2, None),
     "drawer_5": (0.08, 1.1, None),
     "eyeglasses": (2.9, 2.6, 0.018),
