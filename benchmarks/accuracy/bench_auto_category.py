@@ -8,7 +8,8 @@
 Views are standard ones with camera noise, of procedural test objects and of strangers that no training has seen, and of
 the models in ``FOLDER/<category>/`` where one is given. ``look`` asks the network that proposes categories alone, about
 all that it knows, with weights or without. ``fit`` works on other objects of the training split and prints the weights
-for ``estimation/categories/ranking.py``. ``time`` measures an answer with 5, 10, ... and all of the categories.
+for ``estimation/categories/ranking.py``, and, as categories are ranked now, for ``rivals.py``. ``time`` measures an
+answer with 5, 10, ... and all of the categories.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from typing import Literal
 import numpy as np
 import tyro
 from matplotlib.figure import Figure
-from scipy.optimize import minimize
+from scipy.optimize import minimize, minimize_scalar
 from scipy.special import logsumexp
 from tqdm import tqdm
 
@@ -36,6 +37,7 @@ from omad.estimation.categories import ranking
 from omad.estimation.categories.late import LateEstimator, shipped_estimators
 from omad.estimation.categories.proposals import Proposals
 from omad.estimation.categories.ranking import against, rank
+from omad.estimation.categories.rivals import nearness, rivals_of
 from omad.estimation.evidence import Evidence, measure_evidence
 from omad.model.checkpoint import shipped_categories
 from omad.model.proposals.network import shipped_proposer
@@ -203,6 +205,16 @@ class Example:
     names: list[str]
     numbers: np.ndarray
     """(C, 9)."""
+    scores: np.ndarray
+    """(C,) of them, as they are ranked now."""
+    near: dict[int, float]
+    """How near the surfaces of those come that are rivals."""
+
+    @property
+    def rival(self) -> int | None:
+        """Which of the rivals is the true one, if any."""
+        names = [self.names[i] for i in self.near]
+        return names.index(self.truth) if self.truth in names else None
 
 
 def examples(config: Config, estimators: Sequence[LateEstimator]) -> list[Example]:
@@ -214,12 +226,15 @@ def examples(config: Config, estimators: Sequence[LateEstimator]) -> list[Exampl
         for observation in views_of(config, truth):
             [shares] = propose([observation])
             proposals = Proposals.of(shares, names)
-            few, numbers = proposals.worth_fitting(names), []
-            for name in few:
-                estimate = by_name[name](observation)
+            few, numbers, scores = proposals.worth_fitting(names), [], []
+            estimates = [by_name[name](observation) for name in few]
+            for name, estimate in zip(few, estimates, strict=True):
                 evidence = measure_evidence(observation, estimate, by_name[name].net.prior)
                 numbers.append([*against(observation, estimate, evidence), proposals.doubt(name)])
-            found.append(Example(truth, few, np.array(numbers).reshape(-1, len(FIELDS))))
+                scores.append(ranking.OFFSET - (np.array(numbers[-1]) - [*ranking.usual(name), 0.0]) @ as_it_is())
+            rivals = rivals_of(estimates, np.array(scores))
+            near = {i: nearness(observation, estimates[i]) for i in rivals}
+            found.append(Example(truth, few, np.array(numbers).reshape(-1, len(FIELDS)), np.array(scores), near))
     return found
 
 
@@ -237,7 +252,7 @@ def tell_fit(found: Sequence[Example]) -> None:
     ranking.USUAL.write_text(json.dumps({n: v.round(3).tolist() for n, v in after.items()}) + "\n", encoding="utf-8")
     weights, offset = fitted(found, above(found, after), own)
     print(f"LOG_ODDS = np.array([{', '.join(f'{value:.2g}' for value in weights[:-1])}])")
-    print(f"PROPOSED = {weights[-1]:.2g}\nOFFSET = {offset:.2g}")
+    print(f"PROPOSED = {weights[-1]:.2g}\nOFFSET = {offset:.2g}\nNEARER = {nearer(found):.2g}")
     answers = {"fitted": (after, weights, offset), "as it was": (before, as_it_is(), ranking.OFFSET)}
     for told, (levels, w, o) in answers.items():
         pairs = []
@@ -273,6 +288,20 @@ def fitted(found: Sequence[Example], numbers: Sequence[np.ndarray], own: Sequenc
     bounds = [(0, None)] * len(FIELDS) + [(None, None)]
     best = minimize(loss, np.ones(len(bounds)), bounds=bounds).x
     return best[:-1] / spread, float(best[-1])
+
+
+def nearer(found: Sequence[Example]) -> float:
+    """Weight of how near rivals' surfaces are under which the true ones are likeliest."""
+    seen = [
+        (one.scores[list(one.near)], np.array([*one.near.values()]), one.rival) for one in found if len(one.near) > 1
+    ]
+    told = [(scores, near, true) for scores, near, true in seen if true is not None]
+
+    def loss(weight: float) -> float:
+        each = [(scores + weight * near, true) for scores, near, true in told]
+        return float(np.mean([logsumexp(scores) - scores[true] for scores, true in each]))
+
+    return float(minimize_scalar(loss, bounds=(0, 100), method="bounded").x)
 
 
 def as_it_is() -> np.ndarray:
