@@ -8,7 +8,7 @@
 Views are standard ones with camera noise, of procedural test objects and of strangers that no training has seen, and of
 the models in ``FOLDER/<category>/`` where one is given. ``look`` asks the network that proposes categories alone, about
 all that it knows, with weights or without. ``fit`` works on other objects of the training split and prints the weights
-for ``estimation/categories/ranking.py``, and, as categories are ranked now, for ``rivals.py``. ``time`` measures an
+for ``estimation/categories/ranking.py``, and, as categories are ranked now, for ``fronts.py``. ``time`` measures an
 answer with 5, 10, ... and all of the categories.
 """
 
@@ -34,12 +34,13 @@ from omad.data.rendering.depth_noise import LEVELS
 from omad.data.rendering.standard_views import standard_view
 from omad.data.source import load_models
 from omad.estimation.categories import ranking
+from omad.estimation.categories.fronts import front_says
 from omad.estimation.categories.late import LateEstimator, shipped_estimators
 from omad.estimation.categories.proposals import Proposals
 from omad.estimation.categories.ranking import against, rank
-from omad.estimation.categories.rivals import nearness, rivals_of
 from omad.estimation.evidence import Evidence, measure_evidence
 from omad.model.checkpoint import shipped_categories
+from omad.model.fronts.network import shipped_front_net
 from omad.model.proposals.network import shipped_proposer
 from omad.objects.category_file import get_category
 from omad.sensing.observation import Observation
@@ -207,14 +208,8 @@ class Example:
     """(C, 9)."""
     scores: np.ndarray
     """(C,) of them, as they are ranked now."""
-    near: dict[int, float]
-    """How near the surfaces of those come that are rivals."""
-
-    @property
-    def rival(self) -> int | None:
-        """Which of the rivals is the true one, if any."""
-        names = [self.names[i] for i in self.near]
-        return names.index(self.truth) if self.truth in names else None
+    fronts: np.ndarray
+    """(C,) log-probability of each by the object's front; -inf where fronts tell nothing."""
 
 
 def examples(config: Config, estimators: Sequence[LateEstimator]) -> list[Example]:
@@ -232,9 +227,12 @@ def examples(config: Config, estimators: Sequence[LateEstimator]) -> list[Exampl
                 evidence = measure_evidence(observation, estimate, by_name[name].net.prior)
                 numbers.append([*against(observation, estimate, evidence), proposals.doubt(name)])
                 scores.append(ranking.OFFSET - (np.array(numbers[-1]) - [*ranking.usual(name), 0.0]) @ as_it_is())
-            rivals = rivals_of(estimates, np.array(scores))
-            near = {i: nearness(observation, estimates[i]) for i in rivals}
-            found.append(Example(truth, few, np.array(numbers).reshape(-1, len(FIELDS)), np.array(scores), near))
+            fronts, net = np.full(len(few), -np.inf), shipped_front_net()
+            known = [i for i, name in enumerate(few) if name in net.names and np.isfinite(scores[i])]
+            if known:
+                told = np.array(scores)[known]
+                fronts[known] = front_says([estimates[i] for i in known], told, net)
+            found.append(Example(truth, few, np.array(numbers).reshape(-1, len(FIELDS)), np.array(scores), fronts))
     return found
 
 
@@ -252,7 +250,7 @@ def tell_fit(found: Sequence[Example]) -> None:
     ranking.USUAL.write_text(json.dumps({n: v.round(3).tolist() for n, v in after.items()}) + "\n", encoding="utf-8")
     weights, offset = fitted(found, above(found, after), own)
     print(f"LOG_ODDS = np.array([{', '.join(f'{value:.2g}' for value in weights[:-1])}])")
-    print(f"PROPOSED = {weights[-1]:.2g}\nOFFSET = {offset:.2g}\nNEARER = {nearer(found):.2g}")
+    print(f"PROPOSED = {weights[-1]:.2g}\nOFFSET = {offset:.2g}\nFRONT = {front(found):.2g}")
     answers = {"fitted": (after, weights, offset), "as it was": (before, as_it_is(), ranking.OFFSET)}
     for told, (levels, w, o) in answers.items():
         pairs = []
@@ -290,18 +288,19 @@ def fitted(found: Sequence[Example], numbers: Sequence[np.ndarray], own: Sequenc
     return best[:-1] / spread, float(best[-1])
 
 
-def nearer(found: Sequence[Example]) -> float:
-    """Weight of how near rivals' surfaces are under which the true ones are likeliest."""
-    seen = [
-        (one.scores[list(one.near)], np.array([*one.near.values()]), one.rival) for one in found if len(one.near) > 1
-    ]
-    told = [(scores, near, true) for scores, near, true in seen if true is not None]
+def front(found: Sequence[Example]) -> float:
+    """Weight of what fronts say under which the true ones are likeliest among those that these can be of."""
+    told = []
+    for one in found:
+        known = np.isfinite(one.scores) & np.isfinite(one.fronts)
+        if one.truth in one.names and known[true := one.names.index(one.truth)] and known.sum() > 1:
+            told.append((one.scores[known], one.fronts[known], int(known[:true].sum())))
 
     def loss(weight: float) -> float:
-        each = [(scores + weight * near, true) for scores, near, true in told]
+        each = [(scores + weight * fronts, true) for scores, fronts, true in told]
         return float(np.mean([logsumexp(scores) - scores[true] for scores, true in each]))
 
-    return float(minimize_scalar(loss, bounds=(0, 100), method="bounded").x)
+    return float(minimize_scalar(loss, bounds=(0, 10), method="bounded").x)
 
 
 def as_it_is() -> np.ndarray:

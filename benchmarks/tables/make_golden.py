@@ -9,7 +9,9 @@ Cabinets with one door have 200 views, staplers and desk lamps 48, suitcases 40.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from zipfile import ZIP_LZMA, ZipFile
 
 import numpy as np
 import tyro
@@ -50,7 +52,15 @@ def main(categories: tuple[str, ...] = (), views: int = 24) -> None:
             for key, value in row.items():
                 columns.setdefault(key, []).append(value)
         arrays = {key: np.stack(values) for key, values in columns.items()}
-        write_atomic(FOLDER / f"golden_{name}.npz", lambda path, a=arrays: np.savez_compressed(path, **a))
+        write_atomic(FOLDER / f"golden_{name}.npz", lambda path, a=arrays: keep(path, a))
+
+
+def keep(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
+    """A ``.npz`` a fifth smaller than NumPy's own, which NumPy reads as well."""
+    with ZipFile(path, "w", ZIP_LZMA) as file:
+        for key, values in arrays.items():
+            with file.open(f"{key}.npy", "w") as member:
+                np.lib.format.write_array(member, values, allow_pickle=False)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """Put a trained network and its prior where the shipped weights are: the network in eight bits, the prior as it is.
 
     python benchmarks/tools/ship_weights.py RUN PRIOR
-    python benchmarks/tools/ship_weights.py RUN          (of the network that proposes categories, which has no prior)
+    python benchmarks/tools/ship_weights.py RUN          (of a network of all categories, which has no prior)
 
 Category and folder follow from the checkpoint. What was fitted to the weights that were there goes: fit it again
 (``omad train confidence``).
@@ -17,13 +17,17 @@ import tyro
 from safetensors.torch import load_file
 
 from omad.model.checkpoint import WEIGHTS, write_tensors
+from omad.model.fronts import hands
+from omad.model.fronts import network as fronts
 from omad.model.proposals import network as proposals
 from omad.model.storage.packing import packed
 
 
 def main(run: tyro.conf.Positional[Path], prior: tyro.conf.Positional[Path | None] = None) -> None:
     config = json.loads((run / "config.json").read_text())
-    folder = proposals.WEIGHTS if prior is None else WEIGHTS / config["category"]["name"]
+    of_all = {"proposals": proposals.WEIGHTS, "fronts": fronts.WEIGHTS, "hands": hands.WEIGHTS}
+    folder = of_all[config["kind"]] if prior is None else WEIGHTS / config["category"]["name"]
+    folder.mkdir(exist_ok=True)
     # the prior's own numbers stay exact: they are compared with those in its folder
     write_tensors(packed(load_file(run / "model.safetensors")), folder)
     shutil.copy(run / "config.json", folder / "config.json")

@@ -7,7 +7,7 @@ from helpers.categories import CATEGORIES, EYEGLASSES, LAPTOP
 from helpers.own_models import JAR, jar, microwave
 from omad import get_category
 from omad.data.procedural import generate
-from omad.data.variation import Variation, mirrored, with_variants
+from omad.data.variation import AT_REST, Variation, mirrored, nearly_at_rest, with_variants
 from omad.geometry.mesh import triangle_normals
 from omad.geometry.transforms import MIRROR_X
 from omad.objects.model import PointObject
@@ -95,3 +95,10 @@ def test_clouds_without_meshes_stay_as_they_are():
         "cloud", [cloud, cloud + 1], np.eye(3)[:1], np.zeros((1, 3)), np.array([[0.0, 1.0]])
     )
     assert with_variants([known], LAPTOP, 10) == [known]
+
+
+def test_what_is_nearly_at_rest_moves_a_little():
+    model = generate(LAPTOP, 0)
+    shut = nearly_at_rest(model, np.random.default_rng(0))
+    assert 0 < np.abs(shut.limits).max() <= AT_REST * np.abs(model.limits).max()
+    assert shut.parts == model.parts

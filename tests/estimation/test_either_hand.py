@@ -152,6 +152,9 @@ def test_the_likelier_hand_is_taken_and_without_one_the_surer(views):
         assert [e.hand_probability for e in found] == pytest.approx(expit(np.abs(np.diff(odds)[:, 0]) / 2))
     surer = [np.log(a.keypoint_std).mean() > np.log(b.keypoint_std).mean() for a, b in zip(plain, images, strict=True)]
     assert [e.of_other_hand for e in surer_hands(plain, images, (), False)] == surer
+    before = [*hand[:-3], hand[-1]]  # one that was fitted before the front was asked
+    own, other = ([np.append(told(estimate)[:-2], 1) @ before for estimate in some] for some in (plain, images))
+    assert [e.of_other_hand for e in surer_hands(plain, images, before, False)] == list(np.less(own, other))
     with pytest.raises(InputError, match=r"hand: of another network"):
         surer_hands(plain, images, (1.0, 2.0), False)
 

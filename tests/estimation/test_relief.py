@@ -77,8 +77,8 @@ def test_where_no_face_is_seen_nothing_is_said():
 
 def test_what_stands_out_counts_only_on_a_door_that_is_shut():
     known, out = np.array([1.0, -2.0]), np.array([3.0, 4.0, 5.0])
-    assert as_shut(known, 0.0, out) == pytest.approx([0, 0, 1, -2, 3, 4, 5, 1])
-    assert as_shut(known, np.radians(60), out) == pytest.approx([1, -2, 0, 0, 0, 0, 0, 0], abs=1e-12)
-    ajar = as_shut(known, np.radians(7), out)
+    assert as_shut(known, 6.0, 0.0, out) == pytest.approx([0, 0, 1, -2, 3, 4, 5, 1, 0, 6])
+    assert as_shut(known, 6.0, np.radians(60), out) == pytest.approx([1, -2, 0, 0, 0, 0, 0, 0, 6, 0], abs=1e-12)
+    ajar = as_shut(known, 6.0, np.radians(7), out)
     assert ajar[:2] + ajar[2:4] == pytest.approx(known)
-    assert 0.3 < ajar[-1] < 0.9
+    assert 0.3 < ajar[7] < 0.9

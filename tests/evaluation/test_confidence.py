@@ -11,11 +11,12 @@ from helpers.categories import DRAWER, LAPTOP
 from omad.common.errors import InputError
 from omad.data.procedural import generate
 from omad.data.rendering.spoils.spoil import Spoil
+from omad.data.rendering.spoils.thinned import thinned_spoil
 from omad.estimation.confidence.model import Confidence, FittedTo, deviations
 from omad.estimation.confidence.signals import IMAGE, JOINT, Signals
 from omad.evaluation.calibration import area_under_roc, expected_calibration_error
 from omad.evaluation.confidence.fitting import Answers, fit, measured
-from omad.evaluation.confidence.views import HEAPS, OTHERS, examples, thinned_spoil
+from omad.evaluation.confidence.views import HEAPS, OTHERS, examples
 
 VIEWS = 2000
 TO_TEST = FittedTo("tests", VIEWS, "0")

@@ -69,18 +69,3 @@ def test_what_is_hidden_counts_neither_way():
     near = np.where(hidden, np.float32(0.5 * depth[depth > 0].min()), np.where(depth > 0, depth, np.float32(10.0)))
     seen = Observation.from_depth(near, STANDARD_CAMERA, (depth > 0) & ~hidden)
     assert Overlay.of(PARTS, seen).agreement.explained > 0.97
-
-
-def test_nearness_falls_with_the_distance_as_a_bell_does():
-    camera, same = STANDARD_CAMERA, 0.01
-    seen = np.full((camera.height, camera.width), 2.0, np.float32)
-    chosen = np.zeros(seen.shape, dtype=bool)
-    chosen[:100] = True
-    for steps in (0.0, 1.0, -2.0, 30.0):
-        moved = Overlay(camera, seen, chosen, seen + np.float32(steps * same), same)
-        assert moved.nearness == pytest.approx(np.exp(-0.5 * steps**2), abs=1e-4)
-    half = np.where(np.arange(camera.width) < camera.width // 2, seen, 0)
-    assert Overlay(camera, seen, chosen, half, same).nearness == pytest.approx(0.5)  # nothing is near where none is
-    assert Overlay(camera, half, chosen, seen, same).nearness == pytest.approx(1)  # nor counts what was not seen
-    assert Overlay(camera, seen, np.zeros_like(chosen), seen, same).nearness == 0
-    assert Overlay.of(PARTS, VIEW.observation()).nearness > 0.95

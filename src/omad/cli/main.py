@@ -34,6 +34,7 @@ from .scale.serve import Serve
 from .shipped import Compile, Demo, Deploy, Export, Info
 from .track import Track
 from .training.all import TrainAll
+from .training.fronts import TrainFronts
 from .training.networks import TrainAncsh, TrainConfidence, TrainNet, TrainPrior, TrainSiamese, TrainSurface
 from .training.proposals import TrainProposals
 
@@ -53,7 +54,8 @@ class Group:
 
 
 _TRAIN = {"prior": TrainPrior, "net": TrainNet, "confidence": TrainConfidence, "surface": TrainSurface}
-_TRAIN |= {"all": TrainAll, "proposals": TrainProposals, "ancsh": TrainAncsh, "siamese": TrainSiamese}
+_TRAIN |= {"all": TrainAll, "proposals": TrainProposals, "fronts": TrainFronts}
+_TRAIN |= {"ancsh": TrainAncsh, "siamese": TrainSiamese}
 _EVAL = {"pose": EvalPose, "keypoints": EvalKeypoints, "views": EvalViews, "table1": EvalTable1, "table2": EvalTable2}
 _EVAL |= {"shape": EvalShape, "ablation": EvalAblation, "retrieval": EvalRetrieval, "robustness": EvalRobustness}
 _FIGURE = {"qualitative": FigureQualitative, "keypoints": FigureKeypoints, "sweep": FigureSweep}

@@ -62,13 +62,13 @@ def load_arrays(path: Path, identity: Identity) -> dict[str, np.ndarray] | None:
     """What ``save_arrays`` wrote; None where there is no such file. Raises InputError for another identity."""
     if not path.is_file():
         return None
-    cure = "delete it, or give another --cache"
-    arrays = read_arrays(path, "a cache of predictions", cure)
+    cure = "delete it, or choose another folder"
+    arrays = read_arrays(path, "a cache", cure)
     if not isinstance(arrays, dict) or "identity" not in arrays:
-        raise InputError(f"{path}: not a cache of predictions; {cure}")
+        raise InputError(f"{path}: not a cache; {cure}")
     found = parse_json(str(arrays.pop("identity")), path, cure)
     found = found if isinstance(found, dict) else {}
     for name, value in identity.items():
         if found.get(name) != value:
-            raise InputError(f"{path}: made with other {name}; delete it, or give another --cache")
+            raise InputError(f"{path}: made with other {name}; delete it, or choose another folder")
     return arrays

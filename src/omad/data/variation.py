@@ -21,6 +21,9 @@ APART = 0.02
 SIMILAR = 2.5
 """A part takes another's place where none of its sides is so many times as long or as short."""
 
+AT_REST = 0.07
+"""Share of their ranges within which the joints of an object are that is nearly at rest."""
+
 
 @dataclass(frozen=True)
 class Variation:
@@ -50,6 +53,11 @@ def with_variants(
             model = mirrored(model, category)
         made.append(replace(_bent(model, category, how, rng), name=f"{model.name}-{index}"))
     return made
+
+
+def nearly_at_rest(model: ObjectModel, rng: np.random.Generator) -> ObjectModel:
+    """An object whose joints move no farther than a little, as one that is shut or all but shut."""
+    return replace(model, limits=AT_REST * rng.random() * model.limits)
 
 
 def mirrored(model: ObjectModel, category: Category) -> ObjectModel:

@@ -1,4 +1,4 @@
-"""A folder that is an estimator: two graphs, numbers, and a program that needs NumPy and ONNX Runtime alone."""
+"""A folder that is an estimator: graphs, numbers, and a program that needs NumPy and ONNX Runtime alone."""
 
 import copy
 from collections.abc import Sequence
@@ -13,15 +13,19 @@ from omad.estimation.estimator import Estimator, EstimatorConfig
 from omad.estimation.looks import relief, shown, turned
 from omad.model import network_input
 from omad.model.fitting.energy import ShapePrior
+from omad.model.fronts import image
+from omad.model.fronts.hands import shipped_hand_net
 from omad.model.omadnet import OmadNet
 from omad.sensing import point_choice
 from omad.sensing.observation import MIN_POINTS
 
-from . import program
-from .graphs import energy_graph, network_graph
+from . import choice, program
+from .graphs import energy_graph, hand_graph, network_graph
 
-NUMBERS, PROGRAM, BESIDE, NEEDS = "estimator.json", "estimate.py", "relief.py", "requirements.txt"
-NETWORK, ENERGY = "network.onnx", "energy.onnx"
+NUMBERS, PROGRAM, NEEDS = "estimator.json", "estimate.py", "requirements.txt"
+NETWORK, ENERGY, HAND = "network.onnx", "energy.onnx", "hand.onnx"
+BESIDE = {"choice": choice, "relief": relief, "front_image": image}
+"""Files that the program takes with it."""
 
 
 def deploy(estimator: Estimator, folder: Path) -> list[str]:
@@ -32,11 +36,17 @@ def deploy(estimator: Estimator, folder: Path) -> list[str]:
     network_graph(net).save(folder / NETWORK)
     write_json(folder / NUMBERS, numbers(net, estimator.config, estimator.hand), indent=1)
     energy_graph(net.prior).save(folder / ENERGY)  # whose numbers are doubles from here on
+    graphs, hands = [NETWORK, ENERGY], shipped_hand_net()
+    if estimator.hand and net.category.name in hands.names:
+        hand_graph(hands, net.category.name).save(folder / HAND)
+        graphs.append(HAND)
     source = Path(program.__file__).read_text(encoding="utf-8")
-    write_text(folder / PROGRAM, source.replace(f"from {relief.__name__} import", "from relief import"))
-    write_text(folder / BESIDE, Path(relief.__file__).read_text(encoding="utf-8"))
+    for name, module in BESIDE.items():
+        source = source.replace(f"from {module.__name__} import", f"from {name} import")
+        write_text(folder / f"{name}.py", Path(str(module.__file__)).read_text(encoding="utf-8"))
+    write_text(folder / PROGRAM, source)
     write_text(folder / NEEDS, "numpy>=1.26\nonnxruntime>=1.20\n")
-    return [NETWORK, ENERGY, NUMBERS, PROGRAM, BESIDE, NEEDS]
+    return [*graphs, NUMBERS, PROGRAM, *(f"{name}.py" for name in BESIDE), NEEDS]
 
 
 def numbers(net: OmadNet, config: EstimatorConfig, hand: Sequence[float]) -> dict[str, Any]:

@@ -1,7 +1,8 @@
-"""What an estimator computes with tensors, as two ONNX graphs made from the modules that training and estimation use.
+"""What an estimator computes with tensors, as ONNX graphs made from the modules that training and estimation use.
 
 ``network``: what the network says of clouds. ``energy``: where a state puts keypoints, with derivatives, joints and
-parts; in double precision, as the fit needs it. ONNX's exporter is an extra (``pip install 'omad[deploy]'``).
+parts; in double precision, as the fit needs it. ``hand``: of which hand an object is, as its front says. ONNX's
+exporter is an extra (``pip install 'omad[deploy]'``).
 """
 
 import logging
@@ -21,6 +22,8 @@ from omad.estimation.looks.mirror import Mirror
 from omad.geometry.kinematics import joint_lines, part_transforms
 from omad.model.fitting.energy import keypoint_jacobian
 from omad.model.fitting.state import State
+from omad.model.fronts.hands import HandNet
+from omad.model.fronts.image import CHANNELS, COLUMNS, ROWS
 from omad.model.omadnet import OmadNet
 from omad.model.prior import OmadPrior
 
@@ -66,6 +69,20 @@ class EnergyGraph(nn.Module):
         parts = part_transforms(tree, joints.axes, joints.pivots, state.joint_states, state.T_camera_base)
         lines = joint_lines(tree, joints.axes, joints.pivots, parts)
         return points, jacobian, self.prior.keypoints(state.beta), lines.axes, lines.pivots, parts
+
+
+class HandGraph(nn.Module):
+    """``HandNet`` of one category."""
+
+    names = ("log_odds",)
+
+    def __init__(self, net: HandNet, name: str) -> None:
+        super().__init__()
+        self.net, self.column = net, net.names.index(name)
+
+    def forward(self, images: Tensor) -> tuple[Tensor, ...]:
+        """images (B, 5, ROWS, COLUMNS) -> (B,)."""
+        return (self.net(images)[:, self.column],)
 
 
 @dataclass(frozen=True)
@@ -121,3 +138,8 @@ def energy_graph(prior: OmadPrior) -> Graph:
     """Of one state, in double precision; ``prior`` is converted."""
     row = torch.cat([torch.eye(4).flatten(), torch.zeros(prior.tree.num_joints), torch.randn(prior.basis_size)])
     return Graph(EnergyGraph(prior.double()), row[None].double(), several=False)
+
+
+def hand_graph(net: HandNet, name: str) -> Graph:
+    """Of one image of a front of the category ``name``."""
+    return Graph(HandGraph(net, name), torch.zeros(1, CHANNELS, ROWS, COLUMNS), several=False)

@@ -1,6 +1,6 @@
 """Shape, pose, joint states and joint axes of one articulated object, from the points of one depth view.
 
-This file lies in a folder with ``relief.py``, two ONNX graphs and a table of numbers; it needs NumPy and ONNX Runtime:
+This file lies in a folder with three others, ONNX graphs and a table of numbers; it needs NumPy and ONNX Runtime:
 
     python estimate.py points.npy
     python estimate.py depth.npy --intrinsics 600,600,319.5,239.5 --mask mask.npy
@@ -23,11 +23,12 @@ from typing import Any
 import numpy as np
 import onnxruntime
 
+from omad.applications.deployment.choice import choose_points
 from omad.estimation.looks.relief import as_shut, relief
+from omad.model.fronts.image import front_image
 
 MIRROR = np.array([-1.0, 1.0, 1.0])
 HALF_TURNS = [np.diag([*signs, 1.0]) for signs in ((1, -1, -1), (-1, 1, -1), (-1, -1, 1))]
-MASK = 2**64 - 1
 
 
 @dataclass(frozen=True)
@@ -112,9 +113,11 @@ class Program:
         self.numbers: dict[str, Any] = json.loads((folder / "estimator.json").read_text())
         graphs: list[Any] = [
             onnxruntime.InferenceSession(str(folder / name), options, providers=["CPUExecutionProvider"])
-            for name in ("network.onnx", "energy.onnx")
+            for name in ("network.onnx", "energy.onnx", "hand.onnx")
+            if (folder / name).exists()
         ]
-        self._network, self._energy = graphs
+        self._network, self._energy, *hand = graphs
+        self._hand = hand[0] if hand else None
         self._joints, self._turning = len(self.numbers["joints"]), np.array(self.numbers["turning"], bool)
         self._beta_mean, self._whitening = (np.array(self.numbers[name]) for name in ("beta_mean", "whitening"))
         self._limits = np.array(self.numbers["limits"]).reshape(-1, 2)
@@ -283,9 +286,11 @@ class Program:
         keypoints, _, _, axes, pivots, parts = self._at(fit.row)
         parts, keypoints, pivots = parts.copy(), keypoints * unit, pivots * unit
         parts[:, :3, 3] *= unit
-        told = np.append(look.pooled, -parts[0, 1, 1])
+        told, front = np.append(look.pooled, -parts[0, 1, 1]), self._front(points, keypoints, parts[0])
         if len(hand) and self._turning[0]:
-            told = as_shut(told, fit.row[16], relief(points, keypoints, whose, parts, axes[0], pivots[0], unit))
+            told = as_shut(told, front, fit.row[16], relief(points, keypoints, whose, parts, axes[0], pivots[0], unit))
+        else:
+            told = np.append(told, [front, 0.0])
         return Answer(
             beta=fit.row[16 + J :],
             joint_states=fit.row[16 : 16 + J] * units,
@@ -297,8 +302,23 @@ class Program:
             keypoint_std=unit / np.sqrt(look.weights),
             residual=fit.residual * unit,
             converged=bool(fit.converged),
-            hand=float(told @ hand[:-1] + hand[-1]) if len(hand) else -float(np.log(look.expected_error)),
+            hand=float(told[: len(hand) - 1] @ hand[:-1] + hand[-1])
+            if len(hand)
+            else -float(np.log(look.expected_error)),
         )
+
+    def _front(self, points: np.ndarray, keypoints: np.ndarray, place: np.ndarray) -> float:
+        """What tells the hand by the front of an object at ``place`` (4, 4)."""
+        if self._hand is None:
+            return 0.0
+        body = (keypoints[np.array(self.numbers["part_of_keypoint"]) == 0] - place[:3, 3]) @ place[:3, :3]
+        image = front_image(points, place, np.stack([body.min(0), body.max(0)]))
+        return float(self._hand.run(None, {"input": image[None]})[0][0])
+
+
+def _odds(hand: np.ndarray, told: np.ndarray) -> float:
+    """By a linear function, its constant last, of the first numbers of ``told``."""
+    return float(told[: len(hand) - 1] @ hand[:-1] + hand[-1])
 
 
 def first_frame(clouds: np.ndarray, far: float) -> np.ndarray:
@@ -328,42 +348,6 @@ def rotation(v: np.ndarray) -> np.ndarray:
     s, k = (1.0, 0.5) if angle < 1e-7 else (math.sin(angle) / angle, (1 - math.cos(angle)) / angle**2)
     skew = np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
     return np.eye(3) + s * skew + k * skew @ skew
-
-
-def choose_points(points: np.ndarray, count: int, samples: int, seed: int, across: int) -> np.ndarray:
-    """(samples, count) of points (N, 3): a random point of each of random cells, ``across`` of them along the image's
-    longer side. SplitMix64 makes the random numbers."""
-    cell = _cells(points, across)
-    members, sizes = np.argsort(cell, kind="stable").tolist(), np.bincount(cell)
-    starts, occupied = (np.cumsum(sizes) - sizes).tolist(), np.flatnonzero(sizes).tolist()
-    chosen, state, cells = np.empty((samples, count), np.int64), seed, len(occupied)
-
-    def below(n: int) -> int:
-        nonlocal state
-        state = (state + 0x9E3779B97F4A7C15) & MASK
-        mixed = ((state ^ (state >> 30)) * 0xBF58476D1CE4E5B9) & MASK
-        mixed = ((mixed ^ (mixed >> 27)) * 0x94D049BB133111EB) & MASK
-        return (((mixed ^ (mixed >> 31)) >> 32) * n) >> 32
-
-    for sample in chosen:
-        for k in range(min(count, cells)):
-            other = k + below(cells - k)
-            occupied[other], occupied[k] = occupied[k], occupied[other]
-            sample[k] = members[starts[occupied[k]] + below(int(sizes[occupied[k]]))]
-        for k in range(cells, count):
-            sample[k] = sample[k - cells]
-    return chosen
-
-
-def _cells(points: np.ndarray, across: int) -> np.ndarray:
-    """(N,) the image cell of each point."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        rays = points[:, :2] * (np.float32(1) / points[:, 2:])
-        low, high = np.fmin.reduce(rays), np.fmax.reduce(rays)
-        per_ray = np.float32(1 / (float((high - low).max()) / across + 1e-9))
-        place = (rays - low) * per_ray
-        place = np.where(place > 0, np.minimum(place, np.float32(across)), np.float32(0)).astype(np.int64)
-    return place[:, 1] * (across + 1) + place[:, 0]
 
 
 def back_projected(depth: np.ndarray, intrinsics: list[float], mask: np.ndarray | None) -> np.ndarray:

@@ -3,7 +3,7 @@ explain what was seen.
 
 The score is linear in what speaks against a category, by how much it is more than usual where that category is right
 (``usual.json``: networks differ in how sure they are, shapes in how much of them is seen), and in what the look says;
-``rivals`` are looked at closer. All was fitted to unseen views of training objects and of strangers by maximum
+``fronts`` tell what neither can. All was fitted to unseen views of training objects and of strangers by maximum
 likelihood (``benchmarks/accuracy/bench_auto_category.py --what fit``), the weights the same for every category.
 """
 
@@ -24,9 +24,9 @@ from ..checks import Check
 from ..estimate import Estimate
 from ..evidence import Evidence, explanation, measure_evidence
 from ..known import Known
+from .fronts import told_apart
 from .late import AnyEstimator
 from .proposals import Proposals
-from .rivals import told_apart
 
 USUAL = Path(__file__).with_name("usual.json")
 LOG_ODDS = np.array([0.46, 1.8, 1.2, 1.3, 4.2, 1.7, 1.5, 0.71])
@@ -117,7 +117,7 @@ def rank(
     doubts = [proposals.doubt(name) for name in fitted]
     scores = OFFSET - np.array(numbers) @ LOG_ODDS - PROPOSED * np.array(doubts)
     scores[~np.isfinite(scores)] = -np.inf  # where a number is missing
-    scores = told_apart(observation, estimates, scores)
+    scores = told_apart(estimates, scores)
     shares = softmax([*scores, 0.0])
     found = map(Candidate, estimates, evidence, scores.tolist(), shares[:-1].tolist())
     return Ranking(tuple(sorted(found, key=lambda candidate: -candidate.score)), float(shares[-1]))

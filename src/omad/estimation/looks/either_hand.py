@@ -7,11 +7,16 @@ import numpy as np
 from scipy.special import expit
 
 from omad.common.errors import InputError
+from omad.model.fronts.hands import shipped_hand_net
 
 from ..checks import hand_doubts
 from ..confidence.model import CURE, FILE
 from ..estimate import Estimate
+from .front import front_of
 from .relief import as_shut, relief
+
+FRONTS = 2
+"""Numbers that the front says: as of an open door, and as of a shut one."""
 
 
 def surer_hands(
@@ -41,26 +46,28 @@ def _with(estimate: Estimate, seconds: dict[str, float], probability: float | No
 
 def odds(hand: Sequence[float], estimate: Estimate) -> float:
     """Log-odds that an object is of the category's hand and not its mirror image: ``hand`` is a linear function of
-    what ``told`` says, its constant last. Raises InputError where it is of another backbone."""
+    what ``told`` says, its constant last; or of all but what the front says, where it was fitted before that was asked.
+    Raises InputError where it is of another backbone."""
     known = told(estimate)
-    if len(hand) != len(known) + 1:
+    if len(hand) - 1 not in (len(known), len(known) - FRONTS):
         raise InputError(f"{FILE}: field hand: of another network; {CURE}")
-    return float(known @ np.array(hand[:-1]) + hand[-1])
+    return float(known[: len(hand) - 1] @ np.array(hand[:-1]) + hand[-1])
 
 
 def told(estimate: Estimate) -> np.ndarray:
     """(K,) what tells the hand: what the backbone knows of the cloud; how far up in the image the answer's own up
-    points, as a door hinged at the right is one hinged at the left where the object stands on its head; and where on a
-    shut door things stand out, as nothing else tells where its hinge is."""
+    points, as a door hinged at the right is one hinged at the left where the object stands on its head; where on a shut
+    door things stand out, as little else tells where its hinge is; and what a network says that sees the front."""
     category, placed = estimate.category, estimate.placed
     known = np.append(estimate.signals.pooled[0], -estimate.T_camera_base[1, 1])
+    front = shipped_hand_net().says(front_of(estimate), category.name)
     if not category.turning[0]:
-        return known
+        return np.append(known, [front, 0.0])
     out = relief(
         estimate.labelled.points, estimate.keypoints, category.part_of_keypoint, placed.T_camera_part,
         placed.axes[0], placed.pivots[0], category.metres_per_unit,
     )  # fmt: skip
-    return as_shut(known, float(estimate.joint_states[0]), out)
+    return as_shut(known, front, float(estimate.joint_states[0]), out)
 
 
 def _for(estimate: Estimate, hand: Sequence[float]) -> float:

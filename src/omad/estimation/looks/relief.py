@@ -28,11 +28,13 @@ AJAR = np.radians(10)
 """A door that is open so far is no longer like one that is shut."""
 
 
-def as_shut(known: np.ndarray, state: float, out: np.ndarray) -> np.ndarray:
-    """(2 n + 31,) what is ``known`` (n,) of an object whose first joint is at ``state`` radians, once as of an open
-    door and once as of a shut one, with what stands ``out`` of it (30,): each counts by how far the door is so."""
+def as_shut(known: np.ndarray, front: float, state: float, out: np.ndarray) -> np.ndarray:
+    """(2 n + 33,) what is ``known`` (n,) of an object whose first joint is at ``state`` radians, once as of an open
+    door and once as of a shut one, what stands ``out`` of it (30,) as of a shut one, how shut it is, and what its
+    ``front`` says, once as of either."""
     shut = np.exp(-((state / AJAR) ** 2))
-    return np.concatenate([known * (1 - shut), known * shut, out * shut, [shut]])
+    either = [front * (1 - shut), front * shut]
+    return np.concatenate([known * (1 - shut), known * shut, out * shut, [shut], either])
 
 
 def relief(

@@ -1,7 +1,6 @@
 """Which of two mirror images an object is: learned from what a network makes of views of both."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from itertools import chain
 
 import numpy as np
@@ -11,6 +10,7 @@ from scipy.special import expit
 from omad.common.batches import batched, progress
 from omad.data.rendering.depth_noise import ON
 from omad.data.rendering.standard_views import View, standard_view
+from omad.data.variation import nearly_at_rest
 from omad.estimation.estimator import Estimator
 from omad.estimation.known import Known
 from omad.estimation.looks.either_hand import told
@@ -24,9 +24,6 @@ from .views import examples
 BATCH = 32
 DECAY = 3e-3
 """Of the squared weights."""
-SHUT = 0.07
-"""Share of their ranges within which joints are in half of the views, which are not spoilt: there a hand is hard to
-tell, and only what is well seen tells it."""
 
 
 def fit_hand(estimator: Estimator, models: Sequence[ObjectModel], views: int, seed: int) -> tuple[float, ...]:
@@ -46,10 +43,10 @@ def fit_hand(estimator: Estimator, models: Sequence[ObjectModel], views: int, se
 
 
 def _shut(models: Sequence[ObjectModel], category: Category, views: int, seed: int) -> Iterator[View]:
-    """So many views of the ``models``, nearly at rest."""
+    """So many views of the ``models``, nearly at rest and not spoilt: there a hand is hard to tell, and only what is
+    well seen tells it."""
     for index in range(views):
-        model = models[index % len(models)]
-        model = replace(model, limits=SHUT * np.random.default_rng((seed, index)).random() * model.limits)
+        model = nearly_at_rest(models[index % len(models)], np.random.default_rng((seed, index)))
         yield standard_view(model, category, (seed, index), ON)
 
 

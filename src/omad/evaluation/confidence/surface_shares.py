@@ -8,8 +8,7 @@ import numpy as np
 
 from omad.common.batches import progress
 from omad.common.errors import InputError
-from omad.data.rendering.spoils.scenes import draw_scene
-from omad.data.rendering.spoils.spoiling import spoilt, within_range
+from omad.data.rendering.spoils.thinned import thinly_spoilt
 from omad.data.rendering.standard_views import View, standard_view
 from omad.estimation.confidence.model import RIGHT_ANGLE, RIGHT_SHARE
 from omad.estimation.estimate import Estimate
@@ -24,7 +23,6 @@ from omad.objects.model import ObjectModel
 from ..evaluate import true_pose
 from ..metrics import pose_errors
 from ..shape import surface_distances
-from .views import thinned_spoil
 
 TRIED = np.array([0.0, 0.25, 0.5, 0.75, 1.0])
 SURE = 1.64
@@ -99,17 +97,10 @@ def _views(models: Sequence[ObjectModel], category: Category, count: int, seed: 
     for index in range(count):
         model, drawn = models[index % len(models)], (seed, index)
         try:
-            view = standard_view(model, category, drawn) if index % 2 == 0 else _spoilt(model, category, drawn)
+            view = standard_view(model, category, drawn) if index % 2 == 0 else thinly_spoilt(model, category, drawn)
             if view is not None:
                 view.observation()
         except InputError:
             continue
         if view is not None:
             yield view
-
-
-def _spoilt(model: ObjectModel, category: Category, seed: tuple[int, int]) -> View | None:
-    """At random; None where the camera could not see it."""
-    spoil = thinned_spoil(np.random.default_rng(seed))
-    scene = draw_scene(model, category, seed, spoil.staging)
-    return spoilt(scene, spoil).view if within_range(scene, spoil) else None

@@ -1,17 +1,16 @@
 """Views to learn confidence from: spoilt in few ways or in many, of usual and unusual objects, and of other things."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields, replace
-from typing import TypeVar
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from omad.common.errors import InputError
 from omad.data.procedural import GENERATORS, generate
 from omad.data.rendering.spoils.scenes import draw_scene
-from omad.data.rendering.spoils.spoil import Spoil, Staging, random_spoil
 from omad.data.rendering.spoils.spoiling import spoilt, within_range
 from omad.data.rendering.spoils.things import simple_thing
+from omad.data.rendering.spoils.thinned import thinned_spoil
 from omad.data.rendering.standard_views import View
 from omad.geometry.mesh import Mesh
 from omad.geometry.rigid import box
@@ -25,11 +24,7 @@ STRETCHED = 0.5
 """Share of the category's objects whose proportions are changed ..."""
 STRETCHES = (0.1, 0.25)
 """... by one of these, the standard deviation of each side's logarithm: real objects are unlike those trained on."""
-WAVES = (0.002, 0.03)
-"""Smooth depth error as a share of the object's diagonal."""
 SEEDS = 2**31
-
-Setting = TypeVar("Setting", Spoil, Staging)
 
 
 @dataclass(frozen=True)
@@ -73,18 +68,6 @@ def _example(models: Sequence[ObjectModel], category: Category, seed: tuple[int,
     except InputError:
         return None
     return Example(view, kind >= OTHERS + HEAPS)
-
-
-def thinned_spoil(rng: np.random.Generator) -> Spoil:
-    """A random spoil of which a random share is left: from nothing wrong to all that may be."""
-    every = replace(random_spoil(rng), waves=float(rng.uniform(*WAVES)))
-    share = rng.random()
-    return replace(_thinned(every, share, rng), staging=_thinned(every.staging, share, rng))
-
-
-def _thinned(settings: Setting, share: float, rng: np.random.Generator) -> Setting:
-    left_out = {field.name: field.default for field in fields(settings) if rng.random() > share}
-    return replace(settings, **left_out)
 
 
 def _at_some_size(model: ObjectModel, own: Category, category: Category, rng: np.random.Generator) -> ObjectModel:

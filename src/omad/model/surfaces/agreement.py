@@ -68,13 +68,6 @@ class Overlay:
         }
 
     @property
-    def nearness(self) -> float:
-        """How near the surface is to what was seen of the object, in the mean over its pixels: 1 where both are the
-        same, 0.6 where they are as far apart as still counts as that, 0 where there is no surface. 0 of no pixels."""
-        apart = np.where(self.rendered > 0, self.seen - self.rendered, np.inf)[self.object & (self.seen > 0)]
-        return float(np.exp(-0.5 * np.square(apart / max(self.same, 1e-9))).mean()) if len(apart) else 0.0
-
-    @property
     def agreement(self) -> Agreement:
         """Of all pixels; all are missing where none shows or should show the object."""
         counts = {name: int(np.count_nonzero(where)) for name, where in self.differences.items()}

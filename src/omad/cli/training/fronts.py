@@ -1,0 +1,75 @@
+"""``omad train fronts``: the networks that tell categories, and objects from their mirror images, by their fronts."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+from tyro.conf import OmitArgPrefixes
+
+import omad
+from omad.common.lazy import lazy_imports
+
+from ..answer import Answer
+from ..options import Device, Json, check_positive, generable
+from .schedule import ScheduleOptions
+
+with lazy_imports():
+    from numpy import ndarray
+    from numpy.random import default_rng
+
+    from omad.common.arrays import load_arrays, save_arrays
+    from omad.common.runtime import pick_device
+    from omad.data.source import load_models
+    from omad.data.variation import nearly_at_rest
+    from omad.model.checkpoint import save, shipped_categories
+    from omad.training.train_fronts import FrontTraining, front_images, train_fronts, train_hands
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainFronts:
+    """Train the network that tells categories by their fronts, as chests of four drawers from those of five, on images
+    of their procedural objects; then one that tells objects from their mirror images, where a category's objects may be
+    of either hand. What the two do not know is told by all else."""
+
+    output: Path
+    """Folder for the images, and for the checkpoint, the state to resume from and the metrics of the one; those of the
+    other are in its folder hands. The same command resumes."""
+    categories: tuple[str, ...] = ()
+    """Default: all that have weights."""
+    objects: int = 3000
+    """Procedural objects a category."""
+    views: int = 3000
+    """Of them; each gives two images."""
+    schedule: OmitArgPrefixes[ScheduleOptions] = ScheduleOptions()
+    device: Device = "auto"
+    json: Json = False
+
+    def run(self) -> Answer:
+        check_positive(objects=self.objects, views=self.views)
+        names, preset = generable(self.categories or tuple(shipped_categories())), FrontTraining()
+        settings = replace(preset, schedule=self.schedule.of(preset.schedule))
+        device = pick_device(self.device)
+        made_of = {"objects": self.objects, "views": self.views, "version": omad.__version__}
+        made_of |= {"schedule": asdict(settings.schedule)}
+        fronts = {name: self._images(name, shut=False) for name in names}
+        save(train_fronts(fronts, self.output, settings, device), self.output, made_of)
+        hands = {name: self._images(name, shut=True) for name in names if omad.get_category(name).either_hand}
+        if hands:
+            save(train_hands(hands, self.output / "hands", settings, device), self.output / "hands", made_of)
+        return Answer({"checkpoint": str(self.output), "categories": list(names), "hands": list(hands)})
+
+    def _images(self, name: str, shut: bool) -> ndarray:
+        """Of one category, those that an earlier run has made; half of the objects nearly ``shut``, or none."""
+        path, seed = self.output / "images" / f"{name}{'-shut' * shut}.npz", self.schedule.seed
+        identity = {"objects": self.objects, "views": self.views, "seed": seed, "version": omad.__version__}
+        if found := load_arrays(path, identity):
+            return found["images"]
+        category = omad.get_category(name)
+        models = load_models("procedural", category, self.objects, "train", 0).models
+        if shut:  # two by two, as every second view is spoilt
+            rng = default_rng(seed)
+            models = [nearly_at_rest(model, rng) if i % 4 < 2 else model for i, model in enumerate(models)]
+        images = front_images(models, category, self.views, seed)
+        save_arrays(path, identity, images=images)
+        return images

@@ -1,0 +1,1 @@
+"""What tells categories apart that are alike but for their fronts."""
