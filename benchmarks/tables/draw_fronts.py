@@ -39,10 +39,7 @@ def main(output: Path, seed: int = 1) -> None:
         seen = view.depth[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
         above.imshow(np.where(seen > 0, seen, np.nan), cmap="viridis_r")
         above.set_title(name, fontsize=7)
-        below.imshow(
-            np.where(image[0] > 0, image[RELIEF], np.nan)[::-1],
-            cmap=colormaps["gray"].with_extremes(bad="lightsteelblue"),
-        )
+        below.imshow(np.where(image[0] > 0, image[RELIEF], np.nan)[::-1], cmap=grey)
         said = sorted(zip(np.exp(net.says(image[None])[0]), net.names, strict=True), reverse=True)
         below.set_title("\n".join(f"{100 * share:.0f} % {one}" for share, one in said[:TOLD]), fontsize=7)
     for panel in panels.flat:
