@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from helpers.scenes import CASES, scene
-from omad.model.posed_object import PosedObject, Poser, posed_objects
+from omad.model.fitting.posed_object import PosedObject, Poser, posed_objects
 from omad.objects.category import Category
 
 

@@ -24,7 +24,7 @@ from omad.data.procedural import generate
 from omad.data.rendering.standard_views import standard_view
 from omad.estimation.estimate import Estimate, JointEstimate, PoseEstimate
 from omad.estimation.part_labels import LabelledPoints
-from omad.model.posed_object import PosedObject
+from omad.model.fitting.posed_object import PosedObject
 from omad.objects.category_file import get_category
 from omad.objects.pose import ObjectPose
 from omad.output.formats import NEED

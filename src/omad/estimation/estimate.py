@@ -19,7 +19,7 @@ from omad.common.files import write_json
 from omad.geometry.joint_kinds import Motion
 from omad.geometry.mesh import Mesh, convex_hull
 from omad.geometry.transforms import MIRROR_X
-from omad.model.posed_object import PosedObject
+from omad.model.fitting.posed_object import PosedObject
 from omad.model.surfaces.surfaces import FittedSurface, PosedSurface, Surfaces
 from omad.objects.category import Category
 from omad.objects.model import ObjectModel

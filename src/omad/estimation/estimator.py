@@ -28,12 +28,12 @@ from omad.geometry.transforms import transform_points
 from omad.model.checkpoint import find_weights, load
 from omad.model.fitting.energy import RefinementConfig
 from omad.model.fitting.leaning import leaning
+from omad.model.fitting.posed_object import Poser
 from omad.model.fitting.refinement import Refiner
 from omad.model.fitting.state import Refined, State, Targets
 from omad.model.inference.network import inference_net
 from omad.model.network_input import first_frame, to_input_frame
 from omad.model.omadnet import OmadNet
-from omad.model.posed_object import Poser
 from omad.model.surfaces.surfaces import Surfaces
 from omad.objects.category import Category
 from omad.sensing.observation import Observation

@@ -13,8 +13,8 @@ from omad.common.arrays import as_doubles
 from omad.data.rendering.viewpoints import random_states
 from omad.estimation.estimate import Estimate
 from omad.geometry.mesh import Mesh, convex_hull
+from omad.model.fitting.posed_object import PosedObject, posed_objects
 from omad.model.fitting.state import State
-from omad.model.posed_object import PosedObject, posed_objects
 from omad.model.prior import OmadPrior
 from omad.model.surfaces.surfaces import Surfaces
 from omad.objects.category import Category

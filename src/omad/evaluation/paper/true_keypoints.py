@@ -8,10 +8,10 @@ import torch
 from omad.data.rendering.standard_views import View
 from omad.estimation.estimator import Estimator
 from omad.geometry.rigid import carry_each
+from omad.model.fitting.posed_object import posed_objects
 from omad.model.fitting.refinement import Refiner
 from omad.model.fitting.state import State, Targets
 from omad.model.object_prior import object_prior
-from omad.model.posed_object import posed_objects
 from omad.model.priornet import PriorNet
 from omad.objects.model import SampledObject
 from omad.objects.pose import ObjectPose

@@ -15,8 +15,8 @@ from omad.geometry.mesh import Mesh
 from omad.objects.category import Category
 from omad.objects.pose import ObjectPose
 
+from ..fitting.posed_object import PosedObject, posed_objects
 from ..fitting.state import State
-from ..posed_object import PosedObject, posed_objects
 from ..prior import OmadPrior
 from .bank import ShapeBank, bank_beside
 from .fitting import Cloud, FitConfig, SurfaceFit

@@ -1,4 +1,4 @@
-"""Objects of a category where they are, in compiled loops on the CPU; what ``model.posed_object`` gives, in metres."""
+"""Objects of a category where they are, in compiled loops on the CPU; what ``posed_object`` gives, in metres."""
 
 import numpy as np
 

@@ -12,8 +12,8 @@ from omad.geometry.transforms import MIRROR_X
 from omad.objects.category import Category
 from omad.objects.pose import ObjectPose, mirrored_axes
 
-from .fitting.state import State
-from .prior import OmadPrior
+from ..prior import OmadPrior
+from .state import State
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class Poser:
     def __init__(self, prior: OmadPrior, category: Category) -> None:
         self._prior, self._category, self._compiled = prior, category, None
         if prior.learned_basis.device.type == "cpu":
-            from .fitting.kernel.prior import kernel_prior  # compiled only where it is used
+            from .kernel.prior import kernel_prior  # compiled only where it is used
 
             self._compiled = kernel_prior(prior)
 
@@ -60,7 +60,7 @@ class Poser:
         """The B objects of a ``state`` in category units."""
         if self._compiled is None:
             return posed_objects(self._prior, self._category, state)
-        from .fitting.kernel.objects import place_objects
+        from .kernel.objects import place_objects
 
         category, rows = self._category, as_doubles(state.pack())
         beta, *found = place_objects(self._compiled, rows, category.metres_per_unit, category.state_units)
