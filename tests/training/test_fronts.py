@@ -10,10 +10,17 @@ from omad.data.procedural import generate
 from omad.model.fronts.image import CHANNELS, COLUMNS, ROWS
 from omad.model.fronts.network import FrontNet
 from omad.objects.category_file import get_category
-from omad.training.train_fronts import PLACED, STEPS, FrontTraining, front_images, train_fronts, train_hands
+from omad.training.train_fronts import (
+    PLACED,
+    STEPS,
+    FrontTraining,
+    HandTraining,
+    front_images,
+    train_fronts,
+    train_hands,
+)
 
 NAMES = "drawer_1", "drawer_5"
-PRESET = FrontTraining()
 
 
 def images(name: str, views: int, seed: int = 0) -> np.ndarray:
@@ -37,12 +44,9 @@ def test_images_are_of_clean_and_of_spoilt_views_and_the_same_by_seed(fronts):
     assert set(np.unique(found[:, 0])) == {0, round(STEPS)}
 
 
-def scheduled(**schedule) -> FrontTraining:
-    return replace(PRESET, schedule=replace(PRESET.schedule, log_steps=1, **schedule))
-
-
 def trained(fronts, folder, **schedule) -> FrontNet:
-    return train_fronts(fronts, folder, scheduled(**schedule))
+    settings = FrontTraining(replace(FrontTraining().schedule, log_steps=1, **schedule))
+    return train_fronts(fronts, folder, settings)
 
 
 def test_the_same_seed_gives_the_same_network(fronts, tmp_path):
@@ -65,7 +69,8 @@ def test_it_learns_what_it_is_shown(fronts, tmp_path):
 def test_it_learns_which_hand_a_door_is_of(tmp_path):
     category = get_category("microwave")
     seen = {"microwave": front_images([generate(category, index) for index in range(4)], category, 24, 0)}
-    net = train_hands(seen, tmp_path, scheduled(steps=60, batch=32, average=0.9)).eval()
+    schedule = replace(HandTraining().schedule, steps=60, batch=32, average=0.9, log_steps=1)
+    net = train_hands(seen, tmp_path, HandTraining(schedule)).eval()
     with torch.no_grad():
         own = net(torch.from_numpy(seen["microwave"] / np.float32(STEPS)))[:, 0] > 0
     assert own.double().mean() > 0.9

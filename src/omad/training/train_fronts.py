@@ -41,14 +41,22 @@ STEPS = 127 / MOST
 
 @dataclass(frozen=True)
 class FrontTraining(Training):
-    """Settings of its training."""
+    """Settings of the training that tells categories."""
 
     schedule: Schedule = Schedule(steps=8000, batch=128, learning_rate=3e-3, weight_decay=1e-2)
 
 
+@dataclass(frozen=True)
+class HandTraining(Training):
+    """Settings of the training that tells hands."""
+
+    schedule: Schedule = Schedule(steps=2600, batch=64, learning_rate=3e-3, weight_decay=1e-2)
+
+
 def front_images(models: Sequence[ObjectModel], category: Category, views: int, seed: int) -> np.ndarray:
     """(n, 5, ROWS, COLUMNS) int8, ``STEPS`` of them one: fronts of the ``models`` in so many views, clean and spoilt by
-    turns, of places that are wrong by as much as an estimate is. The same for the same arguments."""
+    turns, of places that are wrong by as much as an estimate is. The same for the same arguments. Raises InputError
+    where none of the views shows enough."""
     made = []
     for index in progress(range(views), views, every=30.0):
         rng = np.random.default_rng((seed, index))
@@ -59,6 +67,8 @@ def front_images(models: Sequence[ObjectModel], category: Category, views: int, 
         for _ in range(PLACED):
             place = _misplaced(view.T_camera_base, view.truth.part_boxes[0], rng)
             made.append(np.rint(STEPS * front_image(observed.points, *place)).astype(np.int8))
+    if not made:
+        raise InputError(f"{category.name}: too little of it is seen in {views} view(s); give more")
     return np.stack(made)
 
 
@@ -99,7 +109,7 @@ def train_fronts(
 
 
 def train_hands(
-    images: Mapping[str, np.ndarray], folder: Path, settings: FrontTraining, device: torch.device | str = "cpu"
+    images: Mapping[str, np.ndarray], folder: Path, settings: HandTraining, device: torch.device | str = "cpu"
 ) -> HandNet:
     """The same for the network that tells objects from their mirror images, of categories whose objects may be of
     either hand; the ``images`` are all of their own."""
@@ -138,5 +148,5 @@ class _Kept:
         return torch.where(mirrored[:, None, None, None], shown.flip(3), shown), self.answers[rows], mirrored
 
 
-def _config(net: FrontNet | HandNet, settings: FrontTraining, images: Mapping[str, np.ndarray]) -> dict[str, Any]:
+def _config(net: FrontNet | HandNet, settings: Training, images: Mapping[str, np.ndarray]) -> dict[str, Any]:
     return {"kind": net.kind, "names": net.names, "settings": asdict(settings), "images": digest_of(images)}

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 from tyro.conf import OmitArgPrefixes
 
@@ -23,7 +24,8 @@ with lazy_imports():
     from omad.data.source import load_models
     from omad.data.variation import nearly_at_rest
     from omad.model.checkpoint import save, shipped_categories
-    from omad.training.train_fronts import FrontTraining, front_images, train_fronts, train_hands
+    from omad.training.loop import Training
+    from omad.training.train_fronts import FrontTraining, HandTraining, front_images, train_fronts, train_hands
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,17 +49,20 @@ class TrainFronts:
 
     def run(self) -> Answer:
         check_positive(objects=self.objects, views=self.views)
-        names, preset = generable(self.categories or tuple(shipped_categories())), FrontTraining()
-        settings = replace(preset, schedule=self.schedule.of(preset.schedule))
-        device = pick_device(self.device)
-        made_of = {"objects": self.objects, "views": self.views, "version": omad.__version__}
-        made_of |= {"schedule": asdict(settings.schedule)}
+        names, device = generable(self.categories or tuple(shipped_categories())), pick_device(self.device)
+        front = FrontTraining(self.schedule.of(FrontTraining().schedule))
+        hand = HandTraining(self.schedule.of(HandTraining().schedule))
         fronts = {name: self._images(name, shut=False) for name in names}
-        save(train_fronts(fronts, self.output, settings, device), self.output, made_of)
+        save(train_fronts(fronts, self.output, front, device), self.output, self._record(front))
         hands = {name: self._images(name, shut=True) for name in names if omad.get_category(name).either_hand}
         if hands:
-            save(train_hands(hands, self.output / "hands", settings, device), self.output / "hands", made_of)
+            folder = self.output / "hands"
+            save(train_hands(hands, folder, hand, device), folder, self._record(hand))
         return Answer({"checkpoint": str(self.output), "categories": list(names), "hands": list(hands)})
+
+    def _record(self, settings: Training) -> dict[str, Any]:
+        made_of = {"objects": self.objects, "views": self.views, "version": omad.__version__}
+        return made_of | {"schedule": asdict(settings.schedule)}
 
     def _images(self, name: str, shut: bool) -> ndarray:
         """Of one category, those that an earlier run has made; half of the objects nearly ``shut``, or none."""
