@@ -24,7 +24,7 @@ def test_a_checkpoint_knows_what_it_was_trained_for_and_images_are_kept(capsys, 
     made = kept.stat().st_mtime_ns
     answer(capsys, *TINY)
     assert kept.stat().st_mtime_ns == made
-    assert "made with other views" in refused(capsys, *TINY, "--views", "5")
+    assert "made with other views; delete it, or give another --output" in refused(capsys, *TINY, "--views", "5")
 
 
 def test_where_objects_may_be_of_either_hand_that_is_learned_too(capsys, tmp_path):

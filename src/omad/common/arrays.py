@@ -58,11 +58,12 @@ def save_arrays(path: Path, identity: Identity, **arrays: np.ndarray) -> None:
     write_atomic(path, lambda file: np.savez_compressed(file, allow_pickle=False, identity=record, **arrays))
 
 
-def load_arrays(path: Path, identity: Identity) -> dict[str, np.ndarray] | None:
-    """What ``save_arrays`` wrote; None where there is no such file. Raises InputError for another identity."""
+def load_arrays(path: Path, identity: Identity, option: str = "--cache") -> dict[str, np.ndarray] | None:
+    """What ``save_arrays`` wrote; None where there is no such file. Raises InputError for another identity, and names
+    the ``option`` that says where the file is."""
     if not path.is_file():
         return None
-    cure = "delete it, or choose another folder"
+    cure = f"delete it, or give another {option}"
     arrays = read_arrays(path, "a cache", cure)
     if not isinstance(arrays, dict) or "identity" not in arrays:
         raise InputError(f"{path}: not a cache; {cure}")
@@ -70,5 +71,5 @@ def load_arrays(path: Path, identity: Identity) -> dict[str, np.ndarray] | None:
     found = found if isinstance(found, dict) else {}
     for name, value in identity.items():
         if found.get(name) != value:
-            raise InputError(f"{path}: made with other {name}; delete it, or choose another folder")
+            raise InputError(f"{path}: made with other {name}; {cure}")
     return arrays

@@ -68,7 +68,7 @@ class TrainFronts:
         """Of one category, those that an earlier run has made; half of the objects nearly ``shut``, or none."""
         path, seed = self.output / "images" / f"{name}{'-shut' * shut}.npz", self.schedule.seed
         identity = {"objects": self.objects, "views": self.views, "seed": seed, "version": omad.__version__}
-        if found := load_arrays(path, identity):
+        if found := load_arrays(path, identity, "--output"):
             return found["images"]
         category = omad.get_category(name)
         models = load_models("procedural", category, self.objects, "train", 0).models
