@@ -12,17 +12,19 @@ from scipy.stats import norm
 
 import omad
 from helpers.categories import DRAWER, LAPTOP
-from helpers.confidences import always
+from helpers.confidences import always, constant
 from omad.common.errors import InputError
 from omad.data.procedural import generate
 from omad.data.rendering.standard_views import standard_view
 from omad.estimation.checks import Check, is_doubtful
 from omad.estimation.confidence.model import FILE, Confidence
 from omad.estimation.confidence.perceptron import Perceptron
-from omad.estimation.confidence.signals import IMAGE, JOINT, Signals, _trace_between
+from omad.estimation.confidence.signals import IMAGE, JOINT, WITHOUT_FRONT, Signals, _trace_between
 from omad.estimation.estimate import Estimate
+from omad.estimation.looks.front import front_of
 from omad.geometry.transforms import quaternion_to_matrix
 from omad.model.checkpoint import find_weights
+from omad.model.fronts.network import shipped_front_net
 from omad.sensing.observation import Observation
 
 
@@ -123,6 +125,21 @@ def test_signals_are_finite_and_the_same_in_a_batch(plain: omad.Estimator) -> No
     assert told["distance"] == pytest.approx(
         np.log(np.linalg.norm(together[0].T_camera_base[:3, 3]) / LAPTOP.metres_per_unit + 1e-3)
     )
+
+
+def test_the_front_is_looked_at_only_where_it_is_asked_for(plain: omad.Estimator) -> None:
+    asking = omad.Estimator(plain.net, plain.config, confidence=always(LAPTOP, 0.02, 0.11, 0.9))
+    size = len(WITHOUT_FRONT) + len(JOINT)
+    without = {"right": constant(size, [0.0]), "errors": constant(size + 1, [-3.0, 1.0])}
+    before = replace(always(LAPTOP, 0.02, 0.11, 0.3), image=WITHOUT_FRONT, **without)
+    seen, unseen = asking(observed()), omad.Estimator(plain.net, plain.config, confidence=before)(observed())
+    assert unseen.probability == 0.5
+    assert (seen.signals.image[0, :-1] == unseen.signals.image[0, :-1]).all()
+    assert unseen.signals.image[0, -1] == 0
+    image = front_of(seen, LAPTOP, seen.labelled.points)[None]
+    told = np.exp(shipped_front_net().says(image)[0, shipped_front_net().names.index("laptop")])
+    assert seen.signals.image[0, -1] == pytest.approx(np.log(told / (1 - told)), rel=1e-6)
+    assert (shipped_front_net().odds(image, "kite") == 0).all()
 
 
 def test_signals_see_a_worse_view(plain: omad.Estimator) -> None:

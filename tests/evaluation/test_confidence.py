@@ -13,7 +13,7 @@ from omad.data.procedural import generate
 from omad.data.rendering.spoils.spoil import Spoil
 from omad.data.rendering.spoils.thinned import thinned_spoil
 from omad.estimation.confidence.model import Confidence, FittedTo, deviations
-from omad.estimation.confidence.signals import IMAGE, JOINT, Signals
+from omad.estimation.confidence.signals import IMAGE, JOINT, WITHOUT_FRONT, Signals
 from omad.evaluation.calibration import area_under_roc, expected_calibration_error
 from omad.evaluation.confidence.fitting import Answers, fit, measured
 from omad.evaluation.confidence.views import HEAPS, OTHERS, examples
@@ -22,15 +22,15 @@ VIEWS = 2000
 TO_TEST = FittedTo("tests", VIEWS, "0")
 
 
-def answers(seed: int, half_turned: float = 0.0) -> tuple[Answers, np.ndarray]:
+def answers(seed: int, half_turned: float = 0.0, front: float = 0.0) -> tuple[Answers, np.ndarray]:
     """Answers whose errors are normal with a deviation that one signal tells, some of them ``half_turned`` where
-    another one says so; and the true probabilities of being right, (N,)."""
+    another one says so; and the true probabilities of being right, (N,), of which the ``front`` tells so much."""
     rng = np.random.default_rng(seed)
     image, joint = rng.normal(size=(VIEWS, len(IMAGE))), rng.normal(size=(VIEWS, 1, len(JOINT)))
     errors = np.abs(rng.normal(size=VIEWS)) * np.exp(-3 + 0.7 * joint[:, 0, 0])
     turned = (rng.random(VIEWS) < half_turned) & (image[:, 3] > 0)
     errors = np.where(turned, rng.uniform(1.0, 2.0, VIEWS), errors)
-    likely = 1 / (1 + np.exp(-(0.5 + 2.0 * image[:, 1])))
+    likely = 1 / (1 + np.exp(-(0.5 + 2.0 * image[:, 1] + front * image[:, -1])))
     return Answers(Signals(image, joint, np.zeros((VIEWS, 4))), errors[:, None], rng.random(VIEWS) < likely), likely
 
 
@@ -79,11 +79,20 @@ def test_probabilities_are_those_that_answers_were_drawn_with(fitted: Confidence
 
 
 @pytest.mark.slow
+def test_the_front_is_asked_for_where_it_tells_right_from_wrong(fitted: Confidence) -> None:
+    assert not fitted.asks_front
+    asking = fit(answers(0, front=1.0)[0], LAPTOP, TO_TEST)
+    assert asking.asks_front
+    unseen, likely = answers(1, front=1.0)
+    assert np.abs(asking.probabilities(unseen.signals) - likely).mean() < 0.05
+
+
+@pytest.mark.slow
 def test_other_things_count_for_the_probability_alone() -> None:
     seen, _ = answers(0)
     other = np.arange(VIEWS) % 4 == 0
     seen = Answers(seen.signals, np.where(other[:, None], np.nan, seen.errors), seen.right & ~other)
-    assert fit(seen, LAPTOP, TO_TEST).errors(np.zeros(len(IMAGE) + len(JOINT) + 1))[0] == pytest.approx(
+    assert fit(seen, LAPTOP, TO_TEST).errors(np.zeros(len(WITHOUT_FRONT) + len(JOINT) + 1))[0] == pytest.approx(
         -3 + np.log(norm.isf(0.25)), abs=0.2
     )
     few = Answers(seen.signals, np.where(np.arange(VIEWS)[:, None] < 100, seen.errors, np.nan), seen.right)

@@ -114,7 +114,7 @@ class Estimator:
         self.hand = () if confidence is None else confidence.hand
         mirror = Mirror.of(net.category, net.tells_outside)
         self._mirror = mirror and mirror.to(self.device)
-        self._meter = Meter(net.category, net.prior)
+        self._meter = Meter(net.category, net.prior, front=confidence is None or confidence.asks_front)
         self._kept: dict[int, Refiner] = {}
 
     @classmethod
@@ -351,9 +351,8 @@ class Estimator:
         rows, last = torch.cat([refined.state.pack(), looks[0].state.pack()]), looks[-1]
         posed = self._posed(State.unpack(rows, joints))
         batch = len(posed) // 2
-        keypoints = np.stack([one.keypoints for one in posed[:batch]]) / unit
         clouds = shown.clouds[:, -last.samples :]
-        signals = self._meter(shown.observations, clouds, last.frame, last.said, last.targets, refined, keypoints)
+        signals = self._meter(shown.observations, clouds, last.frame, last.said, last.targets, refined, posed[:batch])
         std, tail, probability = self._judged(signals, _state_std(covariance, category))
         final = PoseEstimate.of(category, posed[:batch], std, tail)
         initial = PoseEstimate.of(category, posed[batch:], np.full_like(std, np.nan), np.ones_like(std))

@@ -331,5 +331,5 @@ class TrainConfidence(CategoryCommand):
         confidence = fitting.fit(answers, category, fitting.FittedTo(self.source, self.views, omad.__version__))
         confidence = replace(confidence, hand=estimator.hand)
         confidence.save(folder)
-        record = {"checkpoint": str(folder), "views": self.views, **fitting.measured(confidence, answers, category)}
-        return Answer(record)
+        record = {"checkpoint": str(folder), "views": self.views, "asks_front": confidence.asks_front}
+        return Answer(record | fitting.measured(confidence, answers, category))

@@ -33,7 +33,7 @@ def front_says(estimates: Sequence[Estimate], scores: np.ndarray, net: FrontNet)
     """(C,) logarithm of the probability of each of the estimates' categories by the object's front. Where that is, they
     do not all agree: each counts by how likely it is, as its log-odds in ``scores`` (C,) say, and by how much is seen
     of the front where it has it. Zeros where nothing is."""
-    images = np.stack([front_of(estimate) for estimate in estimates])
+    images = np.stack([front_of(each, each.category, each.labelled.points) for each in estimates])
     counts = softmax(scores) * images[:, 0].mean((1, 2))
     if not counts.any():
         return np.zeros(len(scores))

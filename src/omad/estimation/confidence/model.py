@@ -21,7 +21,7 @@ from omad.common.incoming import read_sealed, sealed
 from omad.objects.category import Category
 
 from .perceptron import Perceptron
-from .signals import IMAGE, JOINT, Signals
+from .signals import IMAGE, JOINT, WITHOUT_FRONT, Signals
 
 FILE, WEIGHTS = "confidence.json", "model.safetensors"
 FORMAT = 1
@@ -54,7 +54,7 @@ class Confidence:
 
     category: str
     image: tuple[str, ...]
-    """Names of the signals of an estimate ..."""
+    """Names of the signals of an estimate, the first of ``IMAGE`` ..."""
     joint: tuple[str, ...]
     """... and of each joint, in their order."""
     errors: Perceptron
@@ -66,16 +66,21 @@ class Confidence:
     hand: tuple[float, ...] = ()
     """Of a category whose objects may be of either hand: what ``either_hand.odds`` takes."""
 
+    @property
+    def asks_front(self) -> bool:
+        """Whether it asks for what the object's front says."""
+        return len(self.image) == len(IMAGE)
+
     def spreads(self, signals: Signals, category: Category) -> tuple[np.ndarray, np.ndarray]:
         """``state_std`` (B, J), radians or metres, and ``tail`` (B, J) of ``JointEstimate``."""
-        median, ratio = np.moveaxis(self.errors(joint_inputs(signals)), -1, 0)
+        median, ratio = np.moveaxis(self.errors(joint_inputs(signals.known_by(self.image))), -1, 0)
         tail = np.logaddexp(0, ratio) / np.log(UPPER / MEDIAN)
         span = np.ptp(category.metric_limits, axis=1)
         return np.minimum(np.exp(median) * MEDIAN**-tail * category.state_units, span), tail
 
     def probabilities(self, signals: Signals) -> np.ndarray:
         """(B,) that an answer is right."""
-        return 1 / (1 + np.exp(-self.right(image_inputs(signals))[:, 0]))
+        return 1 / (1 + np.exp(-self.right(image_inputs(signals.known_by(self.image)))[:, 0]))
 
     def save(self, folder: Path) -> None:
         """Put it into a checkpoint folder, whole or not at all. Raises InputError."""
@@ -98,12 +103,12 @@ class Confidence:
             found = decode(cls, record)
         except ValueError as error:
             raise InputError(f"{path}: {error}; {CURE}") from error
-        joints, wanted = len(category.joints), len(IMAGE) + len(JOINT)
+        joints, image = len(category.joints), len(found.image)
         sizes = len(found.errors.mean), len(found.errors.straight), len(found.right.mean), len(found.right.straight)
         if found.category != category.name:
             raise InputError(f"{path}: is for {found.category}, not for {category.name}; {CURE}")
-        if (found.image, found.joint) != (IMAGE, JOINT) or sizes != (
-            wanted + joints, 2, len(IMAGE) + joints * len(JOINT), 1
+        if found.image not in (WITHOUT_FRONT, IMAGE) or found.joint != JOINT or sizes != (
+            image + len(JOINT) + joints, 2, image + joints * len(JOINT), 1
         ):  # fmt: skip
             raise InputError(f"{path}: field image, joint, errors or right: of another version; {CURE}")
         return found

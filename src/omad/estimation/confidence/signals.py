@@ -6,25 +6,31 @@ Lengths are in category units; spreads and distances are logarithms, as what mat
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Self
 
 import numpy as np
 from torch import Tensor
 
 from omad.common.arrays import as_doubles
+from omad.model.fitting.posed_object import PosedObject
 from omad.model.fitting.state import Refined, Targets
+from omad.model.fronts.network import shipped_front_net
 from omad.model.omadnet import Prediction
 from omad.model.prior import OmadPrior
 from omad.objects.category import Category
 from omad.sensing.observation import Observation
 
+from ..looks.front import front_of
+
 IMAGE = (
     "expected error", "worst expected error", "misfit", "residual", "shape", "spread", "turned since the look",
     "moved since the look", "turned from the network's own pose", "outside", "points", "cut off", "size",
-    "from the side", "from above", "from the front", "distance", "not converged",
+    "from the side", "from above", "from the front", "distance", "not converged", "front",
 )  # fmt: skip
 """Of the whole estimate."""
+WITHOUT_FRONT = IMAGE[:-1]
+"""What is asked for where the front is not worth its time."""
 JOINT = (
     "std", "network's own state", "spread", "beyond its limits", "travel", "expected error", "misfit", "points",
 )  # fmt: skip
@@ -53,6 +59,10 @@ class Signals:
         """Of no estimation."""
         return cls(np.zeros((0, len(IMAGE))), np.zeros((0, 0, len(JOINT))), np.zeros((0, 0)))
 
+    def known_by(self, image: tuple[str, ...]) -> Self:
+        """Without those of ``IMAGE`` that are beyond the first, ``image``."""
+        return replace(self, image=self.image[:, : len(image)])
+
     def rows(self) -> list[Self]:
         """Each estimate's, batches of one."""
         return [type(self)(*(values[b : b + 1] for values in vars(self).values())) for b in range(len(self.image))]
@@ -66,7 +76,9 @@ class Signals:
 class Meter:
     """Reads the signals off an estimation, with a category's constants worked out once."""
 
-    def __init__(self, category: Category, prior: OmadPrior) -> None:
+    def __init__(self, category: Category, prior: OmadPrior, front: bool) -> None:
+        """``front``: whether what the object's front says of its category is asked for; zero otherwise."""
+        self._category, self._fronts = category, shipped_front_net() if front else None
         parts, limits = len(category.parts), np.array([joint.limits for joint in category.joints])
         self._parts, self._half, self._middle = parts, np.ptp(limits, axis=1) / 2, limits.mean(1)
         part_of = np.array(category.part_of_keypoint)
@@ -77,10 +89,10 @@ class Meter:
 
     def __call__(
         self, observations: Sequence[Observation], clouds: Tensor, frame: Tensor, said: Prediction, targets: Targets,
-        refined: Refined, keypoints: np.ndarray,
+        refined: Refined, posed: Sequence[PosedObject],
     ) -> Signals:  # fmt: skip
         """Of B observations' last look: in ``frame`` (B, 4, 4) the network was shown ``clouds`` (B, samples, n, 3) and
-        ``said`` what they are, (B samples); these are the ``targets`` that ``keypoints`` (B, M, 3) were fitted to."""
+        ``said`` what they are, (B samples); these are the ``targets`` that the objects so ``posed`` were fitted to."""
         batch, joints = len(observations), len(self._half)
 
         def each(values: Tensor) -> np.ndarray:
@@ -93,6 +105,7 @@ class Meter:
         away = np.sqrt(np.square(T[:, :3, 3]).sum(1))
         view = -(T[:, :3, 3, None] / away[:, None, None] * T[:, :3, :3]).sum(1)
 
+        keypoints = np.stack([one.keypoints for one in posed]) / self._category.metres_per_unit
         weights = as_doubles(targets.weights)
         log_std = -0.5 * np.log(weights)
         off = weights * np.square(keypoints - as_doubles(targets.keypoints)).sum(-1)
@@ -121,6 +134,7 @@ class Meter:
             view[:, 2],
             np.log(away + LEAST),
             1.0 - as_doubles(refined.converged),
+            self._front(observations, posed),
         ]
         travel = (states - self._middle) / self._half
         variance = as_doubles(refined.covariance).diagonal(axis1=1, axis2=2)[:, 6 : 6 + joints]
@@ -136,6 +150,13 @@ class Meter:
         ]
         found = np.stack(image, 1), np.stack(joint, 2), each(said.pooled).mean(1)
         return Signals(*map(_finite, found))
+
+    def _front(self, observations: Sequence[Observation], posed: Sequence[PosedObject]) -> np.ndarray:
+        """(B,) log-odds that the objects are of the category."""
+        if self._fronts is None:
+            return np.zeros(len(posed))
+        images = [front_of(one, self._category, seen.points) for one, seen in zip(posed, observations, strict=True)]
+        return self._fronts.odds(np.stack(images), self._category.name)
 
 
 def _finite(values: np.ndarray) -> np.ndarray:

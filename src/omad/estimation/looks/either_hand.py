@@ -60,7 +60,7 @@ def told(estimate: Estimate) -> np.ndarray:
     door things stand out, as little else tells where its hinge is; and what a network says that sees the front."""
     category, placed = estimate.category, estimate.placed
     known = np.append(estimate.signals.pooled[0], -estimate.T_camera_base[1, 1])
-    front = shipped_hand_net().says(front_of(estimate), category.name)
+    front = shipped_hand_net().says(front_of(estimate, category, estimate.labelled.points), category.name)
     if not category.turning[0]:
         return np.append(known, [front, 0.0])
     out = relief(

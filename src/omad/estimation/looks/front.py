@@ -2,14 +2,14 @@
 
 import numpy as np
 
+from omad.model.fitting.posed_object import PosedObject
 from omad.model.fronts.image import front_image
+from omad.objects.category import Category
 
-from ..estimate import Estimate
 
-
-def front_of(estimate: Estimate) -> np.ndarray:
-    """(5, ROWS, COLUMNS) image of the front of what was seen."""
-    place = np.asarray(estimate.T_camera_base)
-    of_body = np.array(estimate.category.part_of_keypoint) == 0
-    body = (estimate.keypoints[of_body] - place[:3, 3]) @ place[:3, :3]
-    return front_image(estimate.labelled.points, place, np.stack([body.min(0), body.max(0)]))
+def front_of(posed: PosedObject, category: Category, points: np.ndarray) -> np.ndarray:
+    """(5, ROWS, COLUMNS) image of the front of what was seen as ``points`` (N, 3), where an answer has it ``posed``."""
+    place = np.asarray(posed.placed.T_camera_part[0])
+    of_body = np.array(category.part_of_keypoint) == 0
+    body = (posed.keypoints[of_body] - place[:3, 3]) @ place[:3, :3]
+    return front_image(points, place, np.stack([body.min(0), body.max(0)]))

@@ -10,6 +10,7 @@ from typing import Any, Self
 
 import numpy as np
 import torch
+from scipy.special import logsumexp
 from torch import Tensor, nn
 from torch.nn.functional import adaptive_avg_pool1d
 
@@ -59,6 +60,13 @@ class FrontNet(Network):
     def says(self, images: np.ndarray) -> np.ndarray:
         """Logarithm of the probability of each category (B, C), by images (B, 5, ROWS, COLUMNS)."""
         return self(torch.from_numpy(images).to(next(self.parameters()))).log_softmax(1).double().cpu().numpy()
+
+    def odds(self, images: np.ndarray, name: str) -> np.ndarray:
+        """(B,) log-odds of the category ``name`` over all others, by such images; zeros where it is not known."""
+        if name not in self.names:
+            return np.zeros(len(images))
+        logs, own = self.says(images), self.names.index(name)
+        return logs[:, own] - logsumexp(np.delete(logs, own, 1), axis=1)
 
 
 def layer(convolution: nn.Conv1d | nn.Conv2d) -> nn.Sequential:
