@@ -45,7 +45,7 @@ KINDS = {
 }
 """Categories of the scenes, and the largest diagonal in metres."""
 OVERLAP = 0.5
-NUMBERS = 12
+NUMBERS = 13
 """Of the evidence."""
 RIDGE, ALIKE = 1e-3, 3e-3
 """Keep weights finite, and those of the categories near to each other."""

@@ -3,10 +3,11 @@
     OMP_NUM_THREADS=1 python benchmarks/tables/make_robustness_table.py [--categories laptop laptop/cluttered]
         [--views 60]
     OMP_NUM_THREADS=1 python benchmarks/tables/make_robustness_table.py --models FOLDER [--views 60]
+    OMP_NUM_THREADS=1 python benchmarks/tables/make_robustness_table.py --to-surface [--models FOLDER]
 
 The table stands between ``<!-- robustness -->`` and ``<!-- end -->``, that of other people's models, a sub-folder of
-``--models`` for each category, between ``<!-- robustness-models -->`` and ``<!-- end -->``. Answers are kept in
-``--cache`` and made anew only where they are missing.
+``--models`` for each category, between ``<!-- robustness-models -->`` and ``<!-- end -->``; with ``--to-surface``,
+``-surface`` follows either name. Answers are kept in ``--cache`` and made anew only where they are missing.
 """
 
 from __future__ import annotations
@@ -20,7 +21,13 @@ from make_tables import kept, replaced
 
 from omad.cli.evaluate import EvalRobustness, SpoiltViews
 from omad.common.files import write_atomic
+from omad.evaluation.robustness.rows import CLEAN
 
+AMISS = (
+    "smooth-3", "wide-3-table", "wide-3-shelf", "wide-3-clutter", "wide-6-table", "hidden-25", "hidden-25-rim",
+    "cut-off-25", "steep", "below", "around", "together",
+)  # fmt: skip
+"""Rows where much is amiss."""
 PAGE = Path(__file__).parents[2] / "docs" / "robustness.md"
 
 
@@ -33,17 +40,40 @@ class Config:
     """Of each row."""
     models: Path | None = None
     """Default: procedural objects."""
+    to_surface: bool = False
+    """Beside each answer, how far it is off when it goes on towards its surface; of the rows where much is amiss."""
     cache: Path = Path("runs/robustness")
 
 
-def measured(config: Config, category: str) -> dict[str, Any]:
+def measured(config: Config, category: str, to_surface: bool = False) -> dict[str, Any]:
     """The answer of ``omad eval robustness``, from the cache where it is there."""
     name, _, other = category.partition("/")
     kind, source = ("", "procedural") if config.models is None else ("-models", str(config.models / name))
+    kind, rows = (f"{kind}-surface", AMISS) if to_surface else (kind, ())
     file = config.cache / f"{category.replace('/', '-')}{kind}-{config.views}.json"
     weights = Path(category) if other else None
-    data = SpoiltViews(source=source, views=config.views)
-    return kept(file, lambda: EvalRobustness(category=name, weights=weights, data=data).run().record)
+    asked = EvalRobustness(
+        category=name,
+        weights=weights,
+        data=SpoiltViews(source=source, views=config.views),
+        rows=rows,
+        to_surface=to_surface,
+    )
+    return kept(file, lambda: asked.run().record)
+
+
+def surface_table(answers: dict[str, tuple[dict[str, Any], dict[str, Any]]]) -> list[str]:
+    """A line a row, a column a category: mean error of the answer, of that which goes on towards its surface, and what
+    they are of such answers to clean views."""
+    lines = [f"| row | {' | '.join(answers)} |", "|---" * (len(answers) + 1) + "|"]
+    for name in (CLEAN, *AMISS):
+        cells = []
+        for pair in answers.values():
+            either = [row for answer in pair for row in answer["rows"] if row["row"] == name]
+            errors, ratios = ", ".join(map(mean, either)), ", ".join(f"{row['ratio']:.2f}" for row in either)
+            cells.append(errors if name == CLEAN else f"{errors}; {ratios}")
+        lines.append(f"| `{name}` | {' | '.join(cells)} |")
+    return lines
 
 
 def table(answers: dict[str, dict[str, Any]]) -> list[str]:
@@ -84,7 +114,12 @@ def mean(of: dict[str, Any]) -> str:
 def main(config: Config) -> None:
     answers = {category: measured(config, category) for category in config.categories}
     name = "robustness" if config.models is None else "robustness-models"
-    text = replaced(PAGE.read_text(), name, table(answers))
+    if config.to_surface:
+        both = {category: (answer, measured(config, category, True)) for category, answer in answers.items()}
+        name, lines = f"{name}-surface", surface_table(both)
+    else:
+        lines = table(answers)
+    text = replaced(PAGE.read_text(), name, lines)
     write_atomic(PAGE, lambda path: path.write_text(text))
 
 

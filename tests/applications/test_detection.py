@@ -12,8 +12,13 @@ from scipy.special import softmax
 import omad
 from omad.applications.detection.detector import Detection, Detector, called
 from omad.applications.detection.judgement import Judgement
+from omad.data.procedural import generate
 from omad.data.rendering.depth_noise import ON
+from omad.data.rendering.standard_views import standard_view
 from omad.data.rendering.tabletop import Placed, Tabletop, draw_tabletop
+from omad.estimation.categories.fronts import front_says
+from omad.model.fronts.network import shipped_front_net
+from omad.objects.category_file import get_category
 
 NAMES = ("laptop", "eyeglasses")
 SCENES = range(4)
@@ -125,3 +130,19 @@ def test_probabilities_are_a_softmax_with_none() -> None:
     assert [found["a"], found["own"], found[None]] == pytest.approx(expected.tolist())
     assert list(found.values()) == sorted(found.values(), reverse=True)
     assert judgement.probabilities({"a": np.full(9, np.nan)}) == {None: 1.0, "a": 0.0}
+
+
+def test_chests_are_told_apart_by_their_fronts() -> None:
+    names = ("drawer_4", "drawer_5")
+    judgement = Judgement(dict.fromkeys(names, [0.0] * 12 + [1.0]), {"drawer_4": 1.0, "drawer_5": 1.5})
+    view = standard_view(generate(get_category("drawer_4"), 0, "test"), get_category("drawer_4"), (0, 0), ON)
+    answers = {name: omad.Estimator.from_pretrained(name, "cpu")(view.observation()) for name in names}
+    evidence = judgement.with_fronts(dict.fromkeys(names, np.zeros(12)), answers)
+    assert [evidence[name][-1] for name in names] == pytest.approx(
+        -front_says(list(answers.values()), np.array([1.0, 1.5]), shipped_front_net())
+    )
+    found = judgement.probabilities(evidence)
+    assert found["drawer_4"] > 4 * found["drawer_5"]  # what else speaks against them says the other
+    unknown = judgement.with_fronts({"kite": np.ones(12), "drawer_4": np.full(12, np.nan)}, answers)
+    assert unknown["kite"].tolist() == [1.0] * 12 + [0.0]
+    assert unknown["drawer_4"][-1] == 0.0

@@ -105,6 +105,18 @@ def test_each_scene_is_rendered_once(estimator, source) -> None:
     assert len(asked) == len(set(asked)) == 2 * len({row.spoil.staging for row in FEW.values()})
 
 
+def test_answers_go_on_towards_their_surfaces_as_evaluated(estimator, source) -> None:
+    found = measure(estimator, scenes_from(source, LAPTOP, 0), 2, {CLEAN: ROWS[CLEAN]}, to_surface=True)
+    models = [generate(LAPTOP, index, "test") for index in range(2)]
+    expected = evaluate(estimator, standard_views(models, LAPTOP, 2), to_surface=True)
+    for each, result in zip(found[CLEAN], expected, strict=True):
+        assert each.errors.joint_state == pytest.approx(result.refined.joint_state, abs=1e-6)
+    before = measure(estimator, scenes_from(source, LAPTOP, 0), 2, {CLEAN: ROWS[CLEAN]})
+    assert all(
+        (a.errors.joint_state != b.errors.joint_state).all() for a, b in zip(found[CLEAN], before[CLEAN], strict=True)
+    )
+
+
 def test_images_are_spoilt_as_models_are_but_not_seen_from_elsewhere(estimator, source, tmp_path: Path) -> None:
     images = replace(source, views=list(standard_views(source.models, LAPTOP, 3)), models=())
     scenes = scenes_from(images, LAPTOP, 0)

@@ -202,6 +202,7 @@ class EvalRobustness(CategoryCommand):
     data: OmitArgPrefixes[SpoiltViews] = SpoiltViews()
     rows: tuple[str, ...] = ()
     """Names of rows; default: all. The clean one is always there."""
+    to_surface: ToSurface = False
     pictures: Path | None = None
     """Folder for a picture of each row's worst view."""
 
@@ -218,7 +219,7 @@ class EvalRobustness(CategoryCommand):
         source = self.data.views_of(category)
         source = source if source.models else source.spread(self.data.views)
         scenes = robustness.scenes_from(source, category, self.data.seed)
-        found = robustness.measure(estimator, scenes, source.total, rows)
+        found = robustness.measure(estimator, scenes, source.total, rows, self.to_surface)
         answer = {"category": category.name, "source": self.data.source, "seed": self.data.seed}
         answer |= {"views": source.total, "rows": robustness.table(found, rows, category)}
         others = robustness.others(estimator, self.data.views, self.data.seed)
@@ -226,7 +227,7 @@ class EvalRobustness(CategoryCommand):
         answer["probability"] = robustness.judged([*chain(*found.values()), *others])
         answer |= {"left_out": [name for name, measured in found.items() if not measured], "refused": source.refused}
         if self.pictures is not None:
-            answer["pictures"] = robustness.draw_worst(estimator, scenes, found, rows, self.pictures)
+            answer["pictures"] = robustness.draw_worst(estimator, scenes, found, rows, self.pictures, self.to_surface)
         return Answer(answer, robustness_text)
 
 

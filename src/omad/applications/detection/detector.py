@@ -47,7 +47,7 @@ class Detection:
     estimate: Estimate | None
     """By its category, of its steadied points; None where it is of none."""
     evidence: dict[str, np.ndarray]
-    """(12,) what speaks ``against`` each category that was fitted: of about its size, and proposed."""
+    """(13,) what speaks ``against`` each category that was fitted, of about its size, and proposed; its front last."""
 
     @property
     def category(self) -> str | None:
@@ -162,7 +162,8 @@ class Detector:
                 evidence[i][name] = against(steady[i], estimate, estimator.net.prior, planes, proposals[i].doubt(name))
                 estimates[i][name] = estimate
         detections = []
-        for thing, numbers, candidates in zip(seen, evidence, estimates, strict=True):
+        for thing, before, candidates in zip(seen, evidence, estimates, strict=True):
+            numbers = self.judgement.with_fronts(before, candidates)
             probabilities = self.judgement.probabilities(numbers)
             best = max(candidates, key=lambda name: probabilities[name], default=None)
             sure = best is not None and probabilities[best] >= SURE

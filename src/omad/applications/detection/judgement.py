@@ -15,10 +15,12 @@ from typing import Self
 import numpy as np
 from scipy.spatial import ConvexHull
 
+from omad.estimation.categories.fronts import front_says
 from omad.estimation.checks import USUAL_SIZE
 from omad.estimation.estimate import Estimate
 from omad.estimation.evidence import explanation, measure_evidence
 from omad.estimation.part_labels import OUTSIDE
+from omad.model.fronts.network import shipped_front_net
 from omad.model.prior import OmadPrior
 from omad.objects.category import Category
 from omad.sensing.observation import Observation
@@ -26,6 +28,8 @@ from omad.sensing.observation import Observation
 FITTED = Path(__file__).with_name("judgement.json")
 ODD_SIZE = 3.5
 """What is so many times larger or smaller than usual is none of the category."""
+DOUBT = 8.0
+"""The most that a front says against a category."""
 LYING = 0.5
 """Of the tilt, one less its cosine: what is tilted by 60 degrees or more does not stand."""
 
@@ -66,7 +70,7 @@ class Judgement:
     """Weights of the evidence, by the names of categories: their networks differ in how sure they are."""
 
     weights: Mapping[str, Sequence[float]]
-    """(12,) log-odds per unit of what ``against`` returns."""
+    """(13,) log-odds per unit of what ``against`` returns, and of what ``with_fronts`` adds."""
     offsets: Mapping[str, float]
     """Log-odds of a category over none where nothing speaks against it."""
 
@@ -75,13 +79,24 @@ class Judgement:
         """That of the shipped weights."""
         return cls(**json.loads(FITTED.read_text(encoding="utf-8")))
 
+    def with_fronts(self, evidence: Mapping[str, np.ndarray], answers: Mapping[str, Estimate]) -> dict[str, np.ndarray]:
+        """What speaks ``against`` the categories of ``answers`` with what the object's front says against each, (13,);
+        nothing against those that its network does not know."""
+        net = shipped_front_net()
+        known = [name for name in evidence if name in net.names]
+        scores = np.array([self._score(name, evidence[name]) for name in known])
+        doubts = dict.fromkeys(evidence, 0.0)
+        if np.isfinite(scores).any():
+            says = front_says([answers[name] for name in known], scores, net)
+            doubts |= dict(zip(known, np.minimum(-says, DOUBT), strict=True))
+        return {name: np.append(values, doubts[name]) for name, values in evidence.items()}
+
     def probabilities(self, evidence: Mapping[str, np.ndarray]) -> dict[str | None, float]:
-        """Of the categories whose evidence (12,) is given by their names, and of none of them (None); likeliest first.
+        """Of the categories whose evidence (13,) is given by their names, and of none of them (None); likeliest first.
         A category of one's own has the mean weights of the known ones."""
         scores: dict[str | None, float] = {None: 0.0}
         for name, values in evidence.items():
-            score = self._score(name, values)
-            scores[name] = score if math.isfinite(score) else -math.inf
+            scores[name] = self._score(name, values)
         highest = max(scores.values())
         odds = {name: math.exp(score - highest) for name, score in scores.items()}
         total = sum(odds.values())
@@ -90,7 +105,8 @@ class Judgement:
     def _score(self, name: str, values: np.ndarray) -> float:
         alike = [name] if name in self.offsets else list(self.offsets)
         weights = np.mean([self.weights[one] for one in alike], axis=0)
-        return float(np.mean([self.offsets[one] for one in alike]) - values @ weights)
+        score = float(np.mean([self.offsets[one] for one in alike]) - values @ weights[: len(values)])
+        return score if math.isfinite(score) else -math.inf
 
     def save(self, path: Path = FITTED) -> None:
         """Write the file that ``fitted`` reads."""

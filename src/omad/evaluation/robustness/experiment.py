@@ -70,14 +70,16 @@ def scenes_from(source: ViewSource, category: Category, seed: int) -> Scenes:
     return lambda index, staging: scene_of(views[index], category, staging)
 
 
-def measure(estimator: Estimator, scenes: Scenes, total: int, rows: Mapping[str, Row]) -> dict[str, list[Measured]]:
+def measure(
+    estimator: Estimator, scenes: Scenes, total: int, rows: Mapping[str, Row], to_surface: bool = False
+) -> dict[str, list[Measured]]:
     """Every row's views, ``total`` of them where all can be staged so; each scene is rendered once for all rows that
-    share its staging."""
+    share its staging. Answers may go on towards their surfaces."""
     found: dict[str, list[Measured]] = {name: [] for name in rows}
     made = progress(_spoilt_views(scenes, total, rows), total * len(rows))
     for some in batched(made, BATCH):
         shown = [(name, index, view) for name, index, view in some if view is not None]
-        measured = _measure(estimator, [view for *_, view in shown])
+        measured = _measure(estimator, [view for *_, view in shown], to_surface)
         for (name, index, _), result in zip(shown, measured, strict=True):
             found[name].append(replace(result, index=index))
     return found
@@ -95,9 +97,11 @@ def _spoilt_views(scenes: Scenes, total: int, rows: Mapping[str, Row]) -> Iterat
             yield name, index, None if seen is None else spoilt(seen, row.spoil).view
 
 
-def _measure(estimator: Estimator, views: list[View]) -> Iterator[Measured]:
+def _measure(estimator: Estimator, views: list[View], to_surface: bool) -> Iterator[Measured]:
     category, observed = estimator.category, observe_all(views)
-    estimates = dict(zip(observed, estimator(list(observed.values())), strict=True))
+    answers = estimator(list(observed.values()))
+    answers = [answer.to_surface() for answer in answers] if to_surface else answers
+    estimates = dict(zip(observed, answers, strict=True))
     for number, view in enumerate(views):
         if number not in estimates:
             nothing = np.full((len(LEVELS), len(category.joints)), np.nan)
@@ -183,9 +187,14 @@ def table(found: Mapping[str, list[Measured]], rows: Mapping[str, Row], category
 
 
 def draw_worst(
-    estimator: Estimator, scenes: Scenes, found: Mapping[str, list[Measured]], rows: Mapping[str, Row], folder: Path
+    estimator: Estimator,
+    scenes: Scenes,
+    found: Mapping[str, list[Measured]],
+    rows: Mapping[str, Row],
+    folder: Path,
+    to_surface: bool = False,
 ) -> list[str]:
-    """A picture of each row's worst view that has an answer; returns their paths."""
+    """A picture of each row's worst view that has an answer, as ``measure`` found it; returns their paths."""
     category, paths = estimator.category, []
     for name, measured in found.items():
         answered = [each for each in measured if not each.errors.missing]
@@ -194,11 +203,13 @@ def draw_worst(
         worst = max(answered, key=lambda each: _relative(each.errors, category))
         view = _view(scenes, worst.index, rows[name].spoil)
         seen = view.observation()
+        answer = estimator(seen)
+        answer = answer.to_surface() if to_surface else answer
         states = zip(worst.errors.joint_state, category.turning, strict=True)
         off = ", ".join(f"{error / reading(turns)[0]:.1f}{reading(turns)[1]}" for error, turns in states)
         title = f"{name}: {view.object}, joint states {off} off, {'' if worst.flagged else 'not '}flagged"
         paths.append(folder / f"{name}.png")
-        save(figure(seen, estimator(seen), true_pose(view, category), title), paths[-1])
+        save(figure(seen, answer, true_pose(view, category), title), paths[-1])
     return [str(path) for path in paths]
 
 
