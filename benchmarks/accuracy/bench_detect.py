@@ -21,6 +21,7 @@ from typing import Literal
 import numpy as np
 import tyro
 from scipy.optimize import minimize
+from scipy.special import log_softmax
 
 from omad.applications.detection.detector import Detection, Detector
 from omad.applications.detection.judgement import Judgement
@@ -130,20 +131,22 @@ def fitted(names: Sequence[str], found: Sequence[Example]) -> Judgement:
     left_out = np.array([[name not in one.evidence for name in names] for one in found])
     which = np.array([names.index(one.truth) if one.truth in one.evidence else len(names) for one in found])
     spread = values[~left_out].std(0)
-    shape = len(names), NUMBERS
+    values, shape = values / spread, (len(names), NUMBERS)
+    true = np.eye(len(names) + 1)[which]
 
-    def loss(free: np.ndarray) -> float:
+    def loss(free: np.ndarray) -> tuple[float, np.ndarray]:
         weights, offsets = free[: -len(names)].reshape(shape), free[-len(names) :]
-        scores = np.where(left_out, -50.0, offsets - (values / spread * weights).sum(-1))
-        scores = np.concatenate([scores, np.zeros((len(scores), 1))], 1)
-        right = scores[np.arange(len(which)), which]
-        usual = weights.mean(0)
-        odd = np.square(weights - usual).sum() + np.square(offsets - offsets.mean()).sum()
-        ridge = RIDGE * usual @ usual + ALIKE * odd
-        return float((np.logaddexp.reduce(scores, 1) - right).mean() + ridge)
+        scores = np.where(left_out, -50.0, offsets - (values * weights).sum(-1))
+        logs = log_softmax(np.concatenate([scores, np.zeros((len(scores), 1))], 1), 1)
+        by_score = np.where(left_out, 0.0, (np.exp(logs) - true)[:, :-1]) / len(logs)
+        usual, odd, apart = weights.mean(0), weights - weights.mean(0), offsets - offsets.mean()
+        ridge = RIDGE * usual @ usual + ALIKE * (np.square(odd).sum() + np.square(apart).sum())
+        by_weights = 2 * RIDGE * usual / len(names) + 2 * ALIKE * odd - (by_score[..., None] * values).sum(0)
+        by_offsets = 2 * ALIKE * apart + by_score.sum(0)
+        return float(ridge - (true * logs).sum(1).mean()), np.concatenate([by_weights.ravel(), by_offsets])
 
     bounds = [(0, None)] * (len(names) * NUMBERS) + [(None, None)] * len(names)
-    best = minimize(loss, np.ones(len(bounds)), bounds=bounds).x
+    best = minimize(loss, np.ones(len(bounds)), jac=True, bounds=bounds).x
     weights = (best[: -len(names)].reshape(shape) / spread).round(3).tolist()
     offsets = best[-len(names) :].round(3).tolist()
     return Judgement(dict(zip(names, weights, strict=True)), dict(zip(names, offsets, strict=True)))

@@ -16,7 +16,7 @@ from omad.estimation.confidence.model import Confidence, FittedTo, deviations
 from omad.estimation.confidence.signals import IMAGE, JOINT, WITHOUT_FRONT, Signals
 from omad.evaluation.calibration import area_under_roc, expected_calibration_error
 from omad.evaluation.confidence.fitting import Answers, fit, measured
-from omad.evaluation.confidence.views import HEAPS, OTHERS, examples
+from omad.evaluation.confidence.views import HEAPS, OTHERS, SPARSEST, examples
 
 VIEWS = 2000
 TO_TEST = FittedTo("tests", VIEWS, "0")
@@ -125,6 +125,11 @@ def test_training_views_are_repeatable_and_of_many_kinds() -> None:
     again = list(examples(models, LAPTOP, 12, 0))
     for one, other in zip(shown, again, strict=True):
         assert np.array_equal(one.view.depth, other.view.depth)
+        assert np.array_equal(one.observation().points, other.observation().points)
+    whole = [len(one.view.observation().points) for one in shown]
+    seen = [len(one.observation().points) for one in shown]
+    assert all(SPARSEST <= few <= all_of for few, all_of in zip(seen, whole, strict=True))
+    assert 0 < sum(few < all_of for few, all_of in zip(seen, whole, strict=True)) < len(shown) / 2
     kinds = Counter(example.of_category for example in shown)
     assert kinds[True] > kinds[False] > 0
     assert 0 < HEAPS < OTHERS < 0.5

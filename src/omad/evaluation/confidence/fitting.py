@@ -75,7 +75,7 @@ def answered(estimator: Estimator, models: Sequence[ObjectModel], views: int, se
 
 def _answer(estimator: Estimator, shown: Sequence[Example]) -> Answers:
     category = estimator.category
-    estimates = estimator([example.view.observation() for example in shown])
+    estimates = estimator([example.observation() for example in shown])
     errors, right = np.full((len(shown), len(category.joints)), np.nan), np.zeros(len(shown), dtype=bool)
     for number, (example, estimate) in enumerate(zip(shown, estimates, strict=True)):
         if example.of_category:

@@ -17,6 +17,7 @@ from omad.geometry.rigid import box
 from omad.objects.category import Category
 from omad.objects.category_file import get_category
 from omad.objects.model import ObjectModel
+from omad.sensing.observation import Observation
 
 OTHERS, HEAPS = 0.14, 0.06
 """Shares of the views that show objects of other categories, and heaps of boxes and cans."""
@@ -24,6 +25,8 @@ STRETCHED = 0.5
 """Share of the category's objects whose proportions are changed ..."""
 STRETCHES = (0.1, 0.25)
 """... by one of these, the standard deviation of each side's logarithm: real objects are unlike those trained on."""
+SPARSE, SPARSEST = 0.25, 500
+"""Share of the views of which some points alone are shown, and the fewest of them: clouds as others thin them out."""
 SEEDS = 2**31
 
 
@@ -34,6 +37,13 @@ class Example:
     view: View
     of_category: bool
     """False: there is no right answer to it."""
+    kept: np.ndarray | None = None
+    """Which of its points are shown; None: all."""
+
+    def observation(self) -> Observation:
+        """What an estimator is shown."""
+        seen = self.view.observation()
+        return seen if self.kept is None else Observation.from_points(seen.points[self.kept])
 
 
 def examples(models: Sequence[ObjectModel], category: Category, count: int, seed: int) -> Iterator[Example]:
@@ -64,10 +74,17 @@ def _example(models: Sequence[ObjectModel], category: Category, seed: tuple[int,
         if not within_range(scene, spoil):
             return None
         view = spoilt(scene, spoil).view
-        view.observation()
+        seen = len(view.observation().points)
     except InputError:
         return None
-    return Example(view, kind >= OTHERS + HEAPS)
+    return Example(view, kind >= OTHERS + HEAPS, _some(seen, rng))
+
+
+def _some(points: int, rng: np.random.Generator) -> np.ndarray | None:
+    """Which of so many points are shown: mostly all."""
+    if rng.random() >= SPARSE or points <= SPARSEST:
+        return None
+    return rng.permutation(points)[: int(np.exp(rng.uniform(np.log(SPARSEST), np.log(points))))]
 
 
 def _at_some_size(model: ObjectModel, own: Category, category: Category, rng: np.random.Generator) -> ObjectModel:
