@@ -16,9 +16,9 @@ from omad.data.procedural import generate
 from omad.data.rendering.depth_noise import LEVELS
 from omad.data.rendering.standard_views import standard_view
 from omad.estimation.estimator import Estimator
-from omad.estimation.looks.front import front_of
 from omad.evaluation.figures.style import save
 from omad.model.fronts.network import shipped_front_net
+from omad.model.fronts.seen import front_of
 
 CATEGORIES = ("drawer_2", "drawer", "drawer_4", "drawer_5", "oven")
 RELIEF = 3

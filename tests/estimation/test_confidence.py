@@ -21,10 +21,10 @@ from omad.estimation.confidence.model import FILE, Confidence
 from omad.estimation.confidence.perceptron import Perceptron
 from omad.estimation.confidence.signals import IMAGE, JOINT, WITHOUT_FRONT, Signals, _trace_between
 from omad.estimation.estimate import Estimate
-from omad.estimation.looks.front import front_of
 from omad.geometry.transforms import quaternion_to_matrix
 from omad.model.checkpoint import find_weights
 from omad.model.fronts.network import shipped_front_net
+from omad.model.fronts.seen import front_of
 from omad.sensing.observation import Observation
 
 

@@ -7,9 +7,9 @@ import numpy as np
 from scipy.special import logsumexp, softmax
 
 from omad.model.fronts.network import FrontNet, shipped_front_net
+from omad.model.fronts.seen import front_of
 
 from ..estimate import Estimate
-from ..looks.front import front_of
 
 FRONT = 0.87
 """How much the front counts: per unit of its log-odds of one category over another."""

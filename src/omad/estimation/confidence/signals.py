@@ -16,12 +16,11 @@ from omad.common.arrays import as_doubles
 from omad.model.fitting.posed_object import PosedObject
 from omad.model.fitting.state import Refined, Targets
 from omad.model.fronts.network import shipped_front_net
+from omad.model.fronts.seen import front_of
 from omad.model.omadnet import Prediction
 from omad.model.prior import OmadPrior
 from omad.objects.category import Category
 from omad.sensing.observation import Observation
-
-from ..looks.front import front_of
 
 IMAGE = (
     "expected error", "worst expected error", "misfit", "residual", "shape", "spread", "turned since the look",

@@ -8,11 +8,11 @@ from scipy.special import expit
 
 from omad.common.errors import InputError
 from omad.model.fronts.hands import shipped_hand_net
+from omad.model.fronts.seen import front_of
 
 from ..checks import hand_doubts
 from ..confidence.model import CURE, FILE
 from ..estimate import Estimate
-from .front import front_of
 from .relief import as_shut, relief
 
 FRONTS = 2

@@ -2,9 +2,10 @@
 
 import numpy as np
 
-from omad.model.fitting.posed_object import PosedObject
-from omad.model.fronts.image import front_image
 from omad.objects.category import Category
+
+from ..fitting.posed_object import PosedObject
+from .image import front_image
 
 
 def front_of(posed: PosedObject, category: Category, points: np.ndarray) -> np.ndarray:
