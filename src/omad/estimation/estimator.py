@@ -112,9 +112,10 @@ class Estimator:
         self.refine = refine
         self.confidence, self.surfaces = confidence, surfaces
         self.hand = () if confidence is None else confidence.hand
+        self.asks_front = confidence is not None and confidence.asks_front
         mirror = Mirror.of(net.category, net.tells_outside)
         self._mirror = mirror and mirror.to(self.device)
-        self._meter = Meter(net.category, net.prior, front=confidence is None or confidence.asks_front)
+        self._meter = Meter(net.category, net.prior)
         self._kept: dict[int, Refiner] = {}
 
     @classmethod
@@ -352,7 +353,8 @@ class Estimator:
         posed = self._posed(State.unpack(rows, joints))
         batch = len(posed) // 2
         clouds = shown.clouds[:, -last.samples :]
-        signals = self._meter(shown.observations, clouds, last.frame, last.said, last.targets, refined, posed[:batch])
+        answers = last.frame, last.said, last.targets, refined, posed[:batch]
+        signals = self._meter(shown.observations, clouds, *answers, self.asks_front)
         std, tail, probability = self._judged(signals, _state_std(covariance, category))
         final = PoseEstimate.of(category, posed[:batch], std, tail)
         initial = PoseEstimate.of(category, posed[batch:], np.full_like(std, np.nan), np.ones_like(std))

@@ -323,7 +323,7 @@ class TrainConfidence(CategoryCommand):
         net = load(OmadNet, folder)
         self.check_weights(net.category)
         estimator = omad.Estimator(net, device=pick_device(self.device))  # what it may know of its errors is of before
-        category = net.category
+        estimator.asks_front, category = True, net.category
         models = load_models(self.source, category, self.objects, "train", UNSEEN).models
         if category.either_hand:
             estimator.hand = fit_hand(estimator, models, 2 * self.views, self.seed + 1)

@@ -75,9 +75,8 @@ class Signals:
 class Meter:
     """Reads the signals off an estimation, with a category's constants worked out once."""
 
-    def __init__(self, category: Category, prior: OmadPrior, front: bool) -> None:
-        """``front``: whether what the object's front says of its category is asked for; zero otherwise."""
-        self._category, self._fronts = category, shipped_front_net() if front else None
+    def __init__(self, category: Category, prior: OmadPrior) -> None:
+        self._category = category
         parts, limits = len(category.parts), np.array([joint.limits for joint in category.joints])
         self._parts, self._half, self._middle = parts, np.ptp(limits, axis=1) / 2, limits.mean(1)
         part_of = np.array(category.part_of_keypoint)
@@ -88,10 +87,11 @@ class Meter:
 
     def __call__(
         self, observations: Sequence[Observation], clouds: Tensor, frame: Tensor, said: Prediction, targets: Targets,
-        refined: Refined, posed: Sequence[PosedObject],
+        refined: Refined, posed: Sequence[PosedObject], front: bool,
     ) -> Signals:  # fmt: skip
         """Of B observations' last look: in ``frame`` (B, 4, 4) the network was shown ``clouds`` (B, samples, n, 3) and
-        ``said`` what they are, (B samples); these are the ``targets`` that the objects so ``posed`` were fitted to."""
+        ``said`` what they are, (B samples); these are the ``targets`` that the objects so ``posed`` were fitted to.
+        ``front``: whether what their fronts say of the category is asked for; zero otherwise."""
         batch, joints = len(observations), len(self._half)
 
         def each(values: Tensor) -> np.ndarray:
@@ -133,7 +133,7 @@ class Meter:
             view[:, 2],
             np.log(away + LEAST),
             1.0 - as_doubles(refined.converged),
-            self._front(observations, posed),
+            self._front(observations, posed) if front else np.zeros(batch),
         ]
         travel = (states - self._middle) / self._half
         variance = as_doubles(refined.covariance).diagonal(axis1=1, axis2=2)[:, 6 : 6 + joints]
@@ -152,10 +152,8 @@ class Meter:
 
     def _front(self, observations: Sequence[Observation], posed: Sequence[PosedObject]) -> np.ndarray:
         """(B,) log-odds that the objects are of the category."""
-        if self._fronts is None:
-            return np.zeros(len(posed))
         images = [front_of(one, self._category, seen.points) for one, seen in zip(posed, observations, strict=True)]
-        return self._fronts.odds(np.stack(images), self._category.name)
+        return shipped_front_net().odds(np.stack(images), self._category.name)
 
 
 def _finite(values: np.ndarray) -> np.ndarray:
