@@ -91,10 +91,9 @@ def fit(answers: Answers, category: Category, fitted_to: FittedTo) -> Confidence
     mine = answers.of_category
     if mine.sum() < FEWEST:
         raise InputError(f"views: {mine.sum()} of them show the category, at least {FEWEST} are needed; give more")
-    image, right, cost = _right(answers, WITHOUT_FRONT)
-    with_front = _right(answers, IMAGE)
-    if with_front[2] < (1 - WORTH) * cost:
-        image, right, _ = with_front
+    plain, cost = _right(answers, WITHOUT_FRONT)
+    fronted, less = _right(answers, IMAGE)
+    image, right = (IMAGE, fronted) if less < (1 - WORTH) * cost else (WITHOUT_FRONT, plain)
     inputs = joint_inputs(answers.signals.known_by(image))[mine]
     errors = fit_errors(inputs.reshape(-1, inputs.shape[-1]), answers.errors[mine].ravel())
     return Confidence(category.name, image, JOINT, errors, right, fitted_to)
@@ -125,12 +124,12 @@ def fit_errors(inputs: np.ndarray, errors: np.ndarray) -> Perceptron:
     return replace(found, straight=straight)
 
 
-def _right(answers: Answers, image: tuple[str, ...]) -> tuple[tuple[str, ...], Perceptron, float]:
+def _right(answers: Answers, image: tuple[str, ...]) -> tuple[Perceptron, float]:
     """``Confidence.right`` by so much of ``IMAGE``, and its mean log loss on what is left out of a fit."""
     inputs, right = image_inputs(answers.signals.known_by(image)), answers.right
     share = (right.sum() + 1) / (len(right) + 2)
     found, said = _cross_validated(inputs, right, _log_loss, [math.log(share / (1 - share))])
-    return image, found, float(_log_loss(torch.as_tensor(said), torch.as_tensor(right, dtype=torch.float64)))
+    return found, float(_log_loss(torch.as_tensor(said), torch.as_tensor(right, dtype=torch.float64)))
 
 
 def _quantile_loss(said: Tensor, logs: Tensor) -> Tensor:
