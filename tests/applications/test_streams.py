@@ -14,10 +14,12 @@ from helpers.headless_browser import HeadlessBrowser
 from omad.cli.main import run
 from omad.data.procedural import generate
 from omad.objects.category_file import get_category
+from omad.sensing.foreign.bags import Topics, read_bag
 
 K = ["--intrinsics", "600,600,319.5,239.5"]
 GIVEN = ["--category", "laptop", "--json"]
 START = 1_700_000_000_000_000_000
+DEPTH_INFO = "/camera/depth/camera_info"
 
 
 @pytest.fixture(scope="module")
@@ -95,8 +97,9 @@ def test_the_page_has_a_slider_for_time(folder, capsys, tmp_path):
         browser.close()
 
 
-def write_bag(path: Path, sequence: list[SequenceFrame], kind: str) -> Path:
-    """Depth, its camera and a mask, as a ROS driver records them."""
+def write_bag(path: Path, sequence: list[SequenceFrame], kind: str, late: int = 0, info: str = DEPTH_INFO) -> Path:
+    """Depth, its camera and a mask, as a ROS driver records them: the latter so many nanoseconds ``late``. Half way the
+    driver is started anew."""
     pytest.importorskip("rosbags", reason="recordings are an extra: pip install 'omad[bags]'")
     from rosbags.rosbag1 import Writer as Writer1
     from rosbags.rosbag2 import StoragePlugin
@@ -110,13 +113,16 @@ def write_bag(path: Path, sequence: list[SequenceFrame], kind: str) -> Path:
     sequence_number = {"seq": 0} if first else {}
     writer = Writer1(path) if first else Writer2(path, version=9, storage_plugin=StoragePlugin[kind.upper()])
     with writer:
-        kinds = {"/camera/depth/image_rect_raw": "Image", "/camera/depth/camera_info": "CameraInfo", "/mask": "Image"}
-        topics = {name: writer.add_connection(name, f"sensor_msgs/msg/{type}", typestore=store)
-                  for name, type in kinds.items()}  # fmt: skip
+        kinds = {"/camera/depth/image_rect_raw": "Image", info: "CameraInfo", "/mask": "Image"}
+        # ROS 1 keeps a connection of each publisher
+        topics = {(name, anew): writer.add_connection(name, f"sensor_msgs/msg/{type}", typestore=store,
+                                                      **({"callerid": f"/{anew}"} if first else {}))
+                  for name, type in kinds.items() for anew in {False, first}}  # fmt: skip
 
         def send(topic: str, message, stamp: int) -> None:
             dump = store.serialize_ros1 if first else store.serialize_cdr
-            writer.write(topics[topic], stamp, dump(message, topics[topic].msgtype))
+            connection = topics[topic, first and stamp > START + 150_000_000]
+            writer.write(connection, stamp, dump(message, connection.msgtype))
 
         def image(array: np.ndarray, encoding: str, header):
             step = array.shape[1] * array.itemsize
@@ -129,8 +135,8 @@ def write_bag(path: Path, sequence: list[SequenceFrame], kind: str) -> Path:
             roi = types["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False)
             K = np.array([600.0, 0, 319.5, 0, 600, 239.5, 0, 0, 1])
             values = header, 480, 640, "plumb_bob", np.zeros(5), K, np.eye(3).ravel(), np.zeros(12), 0, 0, roi
-            send("/camera/depth/camera_info", types["sensor_msgs/msg/CameraInfo"](*values), stamp)
-            send("/mask", image((frame.depth > 0).astype(np.uint8) * 255, "mono8", header), stamp)
+            send(info, types["sensor_msgs/msg/CameraInfo"](*values), stamp + late)
+            send("/mask", image((frame.depth > 0).astype(np.uint8) * 255, "mono8", header), stamp + late)
             stored = np.rint(frame.depth * 1000).astype(np.uint16)
             send("/camera/depth/image_rect_raw", image(stored, "16UC1", header), stamp + 1000)
     return path
@@ -148,6 +154,26 @@ def test_recordings_are_tracked(kind, sequence, folder, capsys):
     assert [line["time"] for line in lines] == pytest.approx([0, 0.1, 0.2, 0.3])
     for line, other in zip(lines, expected, strict=True):
         assert line["joints"][0]["state"] == pytest.approx(other["joints"][0]["state"], abs=1e-3)
+
+
+@pytest.mark.parametrize("kind", ["mcap", "bag"])
+def test_masks_are_those_of_their_images_however_late_they_were_worked_out(kind, sequence):
+    bag = write_bag(Path("recording.bag" if kind == "bag" else "recording"), sequence, kind, late=240_000_000)
+    frames = list(read_bag(bag, Topics(mask_topic="/mask")))
+    assert [frame.name for frame in frames] == [str(START + index * 100_000_000 + 1000) for index in range(4)]
+    for frame, own in zip(frames, sequence, strict=True):
+        assert frame.mask is not None
+        assert np.array_equal(frame.mask > 0, own.depth > 0)
+        assert frame.depth == pytest.approx(own.depth, abs=1e-3)
+        assert frame.camera is not None
+
+
+def test_a_camera_of_another_namespace_is_not_the_images(sequence, capsys):
+    bag = write_bag(Path("recording"), sequence[:1], "mcap", info="/camera/color/camera_info")
+    assert next(read_bag(bag, Topics())).camera is None
+    assert next(read_bag(bag, Topics(info_topic="/camera/color/camera_info"))).camera is not None
+    assert run(["track", str(bag), *GIVEN]) == 2
+    assert "--info-topic" in capsys.readouterr().err
 
 
 def test_recordings_that_do_not_fit_are_refused(sequence, capsys):

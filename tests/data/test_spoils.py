@@ -28,6 +28,7 @@ from omad.data.rendering.spoils.scenes import (
 )
 from omad.data.rendering.spoils.spoil import Spoil, Staging, random_spoil
 from omad.data.rendering.spoils.spoiling import cluttered, spoilt
+from omad.data.rendering.spoils.thinned import FEWEST, some_points
 from omad.data.rendering.standard_views import MIN_PIXELS, standard_view
 from omad.data.rendering.view_folder import open_views, render_to_folder
 from omad.geometry.camera import STANDARD_CAMERA
@@ -250,3 +251,14 @@ def test_a_cluttered_folder_holds_the_same_views(tmp_path: Path) -> None:
         assert np.array_equal(read.T_camera_base, drawn.view.T_camera_base)
     with pytest.raises(InputError, match="clutter"):
         render_to_folder(models, category, tmp_path, 4, seed=1)
+
+
+@pytest.mark.parametrize("count", [1, FEWEST, 20_000])
+def test_some_points_are_left_of_a_cloud(count):
+    left = [some_points(count, np.random.default_rng(seed)) for seed in range(300)]
+    counts = np.array([len(np.unique(some)) for some in left])
+    assert all(len(some) == few and some.max() < count for some, few in zip(left, counts, strict=True))
+    assert min(FEWEST, count) <= counts.min() + 1
+    assert counts.max() <= count
+    if count > FEWEST:
+        assert np.log(counts).mean() == pytest.approx(np.log(FEWEST * count) / 2, abs=0.2)

@@ -12,7 +12,7 @@ import torch
 from helpers.command_line import laptop_view
 from omad.common.errors import InputError
 from omad.estimation.estimator import Estimator, EstimatorConfig
-from omad.estimation.known import Known
+from omad.estimation.known import Known, Near
 from omad.sensing.observation import Observation
 
 
@@ -26,6 +26,9 @@ def with_point(value: float) -> Observation:
     points = observation.points.copy()
     points[3, 1] = value
     return replace(observation, points=points)
+
+
+NEAR = Near(np.eye(4), np.zeros(1), np.zeros(10), np.eye(10))
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e30])
@@ -47,8 +50,17 @@ def test_what_is_no_observation_is_named(value):
      Known(joint_states=[np.inf]), Known(gravity=[0, 0, np.nan]), Known(gravity=[0, 0, 1e300])],
 )  # fmt: skip
 def test_what_cannot_be_known_is_refused(known):
+    view = laptop_view().observation()
     with pytest.raises(InputError, match="known "):
-        estimator()(laptop_view().observation(), known)
+        estimator()(view, known)
+    with pytest.raises(InputError, match="known "):
+        estimator().near(view, NEAR, known)
+
+
+def test_numbers_of_a_configuration_may_be_of_any_kind_and_in_a_list():
+    view = laptop_view().observation()
+    listed = Estimator.from_pretrained("laptop", "cpu", EstimatorConfig(samples=[1, 3], batch=np.int64(3)))
+    assert np.array_equal(listed(view).keypoints, estimator()(view).keypoints)
 
 
 @pytest.mark.parametrize("form", [lambda array: array[::-1].copy()[::-1], lambda array: array.astype(np.longdouble)])

@@ -11,12 +11,12 @@ from helpers.categories import DRAWER, LAPTOP
 from omad.common.errors import InputError
 from omad.data.procedural import generate
 from omad.data.rendering.spoils.spoil import Spoil
-from omad.data.rendering.spoils.thinned import thinned_spoil
+from omad.data.rendering.spoils.thinned import FEWEST, thinned_spoil
 from omad.estimation.confidence.model import Confidence, FittedTo, deviations
 from omad.estimation.confidence.signals import IMAGE, JOINT, WITHOUT_FRONT, Signals
 from omad.evaluation.calibration import area_under_roc, expected_calibration_error
 from omad.evaluation.confidence.fitting import Answers, fit, measured
-from omad.evaluation.confidence.views import HEAPS, OTHERS, SPARSEST, examples
+from omad.evaluation.confidence.views import HEAPS, OTHERS, examples
 
 VIEWS = 2000
 TO_TEST = FittedTo("tests", VIEWS, "0")
@@ -128,7 +128,7 @@ def test_training_views_are_repeatable_and_of_many_kinds() -> None:
         assert np.array_equal(one.observation().points, other.observation().points)
     whole = [len(one.view.observation().points) for one in shown]
     seen = [len(one.observation().points) for one in shown]
-    assert all(SPARSEST <= few <= all_of for few, all_of in zip(seen, whole, strict=True))
+    assert all(FEWEST <= few <= all_of for few, all_of in zip(seen, whole, strict=True))
     assert 0 < sum(few < all_of for few, all_of in zip(seen, whole, strict=True)) < len(shown) / 2
     kinds = Counter(example.of_category for example in shown)
     assert kinds[True] > kinds[False] > 0

@@ -140,6 +140,26 @@ def test_placed_bases_agree_and_are_nearest(category: Category) -> None:
     torch.testing.assert_close(fitted.T_camera_base, fused.T_camera_base, atol=1e-6, rtol=0)
 
 
+@pytest.mark.parametrize("broken", ["one left out", "keypoints", "weights"])
+def test_a_base_that_cannot_be_placed_spoils_no_other(broken: str) -> None:
+    s = scene(CRANE, batch=3, noise=1.0)
+    clean = Refiner(s.prior, s.limits).with_fitted_pose(s.targets, s.start).T_camera_base
+    if broken == "weights":
+        s.targets.weights[1] = 0.0
+    else:
+        s.targets.keypoints[1, : 1 if broken == "one left out" else None] = torch.nan
+        s.targets.weights[1, 0] = 0.0
+    plain, fused = (
+        Refiner(s.prior, s.limits, RefinementConfig(backend=b)).with_fitted_pose(s.targets, s.start).T_camera_base
+        for b in BACKENDS
+    )
+    for found in (plain, fused):
+        torch.testing.assert_close(found[[0, 2]], clean[[0, 2]], atol=1e-9, rtol=0)
+        assert found[1].isfinite().all() == (broken == "one left out")
+    if broken == "one left out":
+        torch.testing.assert_close(plain[1], fused[1], atol=1e-9, rtol=0)
+
+
 @pytest.mark.slow
 @each_case
 def test_same_optimum_as_scipy(category: Category) -> None:

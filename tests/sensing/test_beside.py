@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from helpers.command_line import LAPTOP, K, answer, laptop_view, refused, save_png
 from omad.cli.main import run
@@ -14,7 +15,9 @@ from omad.estimation.known import Known
 from omad.objects.category_file import get_category
 from omad.sensing.beside import Beside, is_companion
 from omad.sensing.cutting.angles import angle_doubts
+from omad.sensing.input_options import InputOptions
 from omad.sensing.observation import Observation
+from omad.sensing.reader import InputReader
 
 
 @pytest.fixture(autouse=True)
@@ -70,6 +73,29 @@ def test_a_camera_beside_an_image_is_read(capsys):
     assert "camera.json tells 600" in capsys.readouterr().err
     Path("depth.json").write_text(json.dumps(told | {"width": 1280, "height": 720}))  # the image's own comes first
     assert "1280x720" in refused(capsys, "estimate", "depth.png", *LAPTOP)
+
+
+def test_a_scale_beside_an_image_is_of_its_integers():
+    Path("camera.json").write_text(json.dumps({"fx": 60, "fy": 60, "cx": 31.5, "cy": 23.5, "depth_scale": 0.00025}))
+    stored = np.full((48, 64), 4000, dtype=np.uint16)
+    Image.fromarray(stored).save("image.png")
+    np.save("integers.npy", stored)
+    Image.fromarray(np.ones((48, 64), dtype=np.float32)).save("metres.tiff")
+    for name in ("image.png", "integers.npy", "metres.tiff"):
+        reader = InputReader.of(InputOptions(), [Path(name)])
+        assert reader(Path(name)).points[:, 2] == pytest.approx(1.0)
+
+
+def test_of_a_label_image_beside_one_the_object_is_named():
+    save_png("depth.png")
+    labels = np.zeros((480, 640), dtype=np.uint8)
+    labels[laptop_view().depth > 0] = 3
+    labels[:10] = 1
+    Image.fromarray(labels).save("depth.mask.png")
+    seen = InputReader.of(InputOptions(intrinsics="600,600,319.5,239.5", mask_id=3), [Path("depth.png")])(
+        Path("depth.png")
+    )
+    assert len(seen.points) == np.count_nonzero(laptop_view().depth > 0)
 
 
 def test_other_files_beside_an_image_are_passed_over():

@@ -121,6 +121,24 @@ def test_lenses_are_read_from_files(tmp_path):
         assert "\n" not in str(error.value)
 
 
+def test_coefficients_of_a_lens_may_have_names(tmp_path):
+    flat = {"fx": 600, "fy": 600, "cx": 319.5, "cy": 239.5}
+    file = tmp_path / "camera.json"
+    for told, model in (
+        (dict(zip(("k1", "k2", "p1", "p2", "k3"), BROWN, strict=True)), "plumb_bob"),
+        (dict(zip(("k1", "k2", "k3", "k4"), BROWN, strict=False)) | {"model": "fisheye"}, "equidistant"),
+    ):
+        file.write_text(json.dumps(flat | told))
+        found = read_camera(file).distortion
+        assert found is not None
+        assert found.model == model
+        assert found.coefficients[:4] == BROWN[:4]
+        assert not any(found.coefficients[5:])
+    file.write_text(json.dumps(flat | dict.fromkeys(("k1", "k2", "k3", "k4"), 0.1)))
+    with pytest.raises(InputError, match="distortion_model"):
+        read_camera(file)
+
+
 def test_lenses_are_read_from_the_command_line():
     assert parse_distortion("none") is None
     assert parse_distortion("0.1,-0.2,0,0,0.05") == Distortion("plumb_bob", (0.1, -0.2, 0, 0, 0.05))

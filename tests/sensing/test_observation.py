@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -15,6 +17,7 @@ from omad.data.rendering.rasteriser import rasterise
 from omad.data.rendering.standard_views import standard_view
 from omad.geometry.camera import STANDARD_CAMERA, Camera
 from omad.sensing.observation import Observation
+from omad.sensing.steadying import steadied
 from omad.sensing.thin_parts import with_thin_parts
 
 CAMERA = Camera(64, 48, 60.0, 61.0, 31.5, 23.5)
@@ -133,6 +136,8 @@ def test_intrinsics() -> None:
     refused("none given", K=None)
     refused("(2, 2)", K=np.eye(2))
     refused("positive", K=(0, 60, 32, 24))
+    refused("row by row", K=np.transpose(K))
+    refused("positive", K=Camera(64, 48, -60.0, 61.0, 31.5, 23.5))
     refused("64x48", "640x480", K=STANDARD_CAMERA)
     warnings = Observation.from_depth(bump(), (600, 600, 320, 240)).warnings
     assert len(warnings) == 1
@@ -169,6 +174,30 @@ def test_cloud() -> None:
         with pytest.raises(InputError) as error:
             Observation.from_points(bad)
         assert word in str(error.value)
+
+
+def test_a_few_points_at_the_cameras_plane_are_left_out() -> None:
+    points = np.random.default_rng(0).uniform(0.5, 1, (1000, 3))
+    seen = Observation.from_points(np.vstack([points, [(0.3, 0.1, 0.001), (0.3, 0.1, 0.0), (0.1, 0.1, -1.0)]]))
+    assert len(seen.points) == 1000
+    assert "3 point(s)" in seen.warnings[0]
+
+
+def test_of_a_large_image_every_second_row_and_column_count_alike() -> None:
+    depth = np.full((1080, 1920), 1.0, dtype=np.float32)
+    depth[400:450, 900:950] = 0.4  # a patch that hangs in the air
+    depth[:, :20] = 0.0
+    camera = Camera(1920, 1080, 1400.0, 1400.0, 959.5, 539.5)
+    seen = Observation.from_depth(depth, camera)
+    assert seen.every == 2
+    clean = seen.without_strays()
+    assert clean.points[:, 2].min() > 0.9
+    assert np.array_equal(clean.mask, depth == 1.0)
+    part = seen.part(seen.pixels[:, 0] < 600)
+    assert np.array_equal(part.mask, (depth > 0) & (np.arange(1920) < 600))
+    rows = seen.pixels[:, 1]
+    noisy = replace(seen, points=seen.points * (1 + 0.01 * (-1.0) ** (rows // 2))[:, None].astype(np.float32))
+    assert np.ptp(steadied(noisy).points[rows > 500, 2]) < 0.7 * np.ptp(noisy.points[rows > 500, 2])
 
 
 def test_flying_points_are_dropped_on_request() -> None:

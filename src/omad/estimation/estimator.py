@@ -14,6 +14,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import accumulate
+from numbers import Integral
 from pathlib import Path
 from typing import Any, Self, overload
 
@@ -43,7 +44,7 @@ from .checks import network_doubts, size_doubts
 from .confidence.model import Confidence
 from .confidence.signals import Meter, Signals
 from .estimate import Estimate, PoseEstimate
-from .known import NOTHING_KNOWN, Known, Near
+from .known import NOTHING_KNOWN, Known, Near, check_known
 from .looks.either_hand import surer_hands
 from .looks.look import Look, put_rows, rows_of
 from .looks.mirror import Mirror
@@ -75,12 +76,12 @@ class EstimatorConfig:
     """Observations that go through the network together."""
 
     def __post_init__(self) -> None:
-        several = isinstance(self.samples, tuple | list) and len(self.samples) > 0
-        counts = [*(self.samples if several else ()), self.near_samples, self.batch]
-        if not several or not all(isinstance(count, int) and 1 <= count <= MOST for count in counts):
+        samples = tuple(self.samples) if isinstance(self.samples, tuple | list) else ()
+        counts = [*samples, self.near_samples, self.batch]
+        if not samples or not all(isinstance(count, Integral) and 1 <= count <= MOST for count in counts):
             raise InputError(f"EstimatorConfig: samples, near_samples and batch are numbers from 1 to {MOST}")
-
-        if not isinstance(self.seed, int) or self.seed < 0:
+        object.__setattr__(self, "samples", samples)  # hashable
+        if not isinstance(self.seed, Integral) or self.seed < 0:
             raise InputError("EstimatorConfig: seed is a whole number from 0")
 
     @classmethod
@@ -155,9 +156,6 @@ class Estimator:
         With ``T_world_camera`` (V, 4, 4), in metres, the V observations are views of one object at one moment, by
         cameras whose places in any one frame are known: they get one answer, given in each camera's own frame. What is
         ``known`` of gravity is then in the first camera's frame. Raises InputError for wrong shapes and poses."""
-        if not isinstance(known, Known):
-            raise InputError(f"known: is {type(known).__name__}; give an omad.Known")
-        known.check(self.category, self.net.prior.basis_size)
         if T_world_camera is not None:
             return self._together(observation, known, T_world_camera)
         if isinstance(observation, Observation):
@@ -169,6 +167,7 @@ class Estimator:
 
     def near(self, observation: Observation, near: Near, known: Known = NOTHING_KNOWN) -> Estimate:
         """Estimate an object that was seen before, a moment ago say: one look is enough, which takes half the time."""
+        check_observations([observation])
         return self._estimate([observation], known, near)[0]
 
     def moved(self, estimate: Estimate, state: Near, covariance: np.ndarray) -> Estimate:
@@ -197,6 +196,7 @@ class Estimator:
         self, observations: Sequence[Observation], known: Known, near: Near | None = None, rig: Rig | None = None
     ) -> list[Estimate]:
         """``rig``: of the cameras of all observations, where these are views of one object at one moment."""
+        check_known(known, self.category, self.net.prior.basis_size)
         if not self.category.either_hand:
             return self._of_one_hand(observations, known, near, rig)
         plain, images = self.of_each_hand(observations, known, near, rig)

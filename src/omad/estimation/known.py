@@ -1,7 +1,7 @@
 """What is known of an object before it is looked at: held fixed while the rest is estimated."""
 
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 import torch
@@ -39,20 +39,7 @@ class Known:
 
     def mirrored(self) -> Self:
         """Of what is seen in a mirror in the camera's plane x = 0."""
-        return self if self.gravity is None else replace(self, gravity=np.asarray(self.gravity) * MIRROR_X)
-
-    def check(self, category: Category, basis_size: int) -> None:
-        """Raises InputError for a wrong shape, and for what are no numbers."""
-        shapes = {"beta": (basis_size,), "joint_states": (len(category.joints),), "gravity": (3,)}
-        for name, shape in shapes.items():
-            value = getattr(self, name)
-            if value is None:
-                continue
-            found = numbers(value, *shape, what=f"known {name}", unknown=name == "joint_states")
-            if (np.abs(found) > LARGEST).any():
-                raise InputError(f"known {name}: holds numbers that are too large to mean anything")
-        if self.gravity is not None and not np.linalg.norm(as_numpy(self.gravity)) > LEAST:
-            raise InputError("known gravity: a direction is needed, got next to nothing")
+        return self if self.gravity is None else replace(self, gravity=as_doubles(self.gravity) * MIRROR_X)
 
     def apply_to(self, start: State, category: Category) -> State:
         """``start`` (category units) with the known values in place of its own."""
@@ -74,6 +61,22 @@ class Known:
 
 
 NOTHING_KNOWN = Known()
+
+
+def check_known(known: Any, category: Category, basis_size: int) -> None:
+    """Raises InputError for what is no ``Known``, for a wrong shape, and for what are no numbers."""
+    if not isinstance(known, Known):
+        raise InputError(f"known: is {type(known).__name__}; give an omad.Known")
+    shapes = {"beta": (basis_size,), "joint_states": (len(category.joints),), "gravity": (3,)}
+    for name, shape in shapes.items():
+        value = getattr(known, name)
+        if value is None:
+            continue
+        found = numbers(value, *shape, what=f"known {name}", unknown=name == "joint_states")
+        if (np.abs(found) > LARGEST).any():
+            raise InputError(f"known {name}: holds numbers that are too large to mean anything")
+    if known.gravity is not None and not np.linalg.norm(as_numpy(known.gravity)) > LEAST:
+        raise InputError("known gravity: a direction is needed, got next to nothing")
 
 
 @dataclass(frozen=True)

@@ -94,11 +94,13 @@ def transform_points(transform: Tensor, points: Tensor) -> Tensor:
 
 def fit_transform(a: Tensor, b: Tensor, weights: Tensor) -> Tensor:
     """The rigid T (B, 4, 4) that brings points ``a`` (B, N, 3) nearest to ``b``: weighted least squares, closed form.
-    Kabsch, "A solution for the best rotation to relate two sets of vectors", 1976. ``weights`` (B, N)."""
+    Kabsch, "A solution for the best rotation to relate two sets of vectors", 1976. ``weights`` (B, N). NaN where a
+    point, or all weights, tell nothing."""
     share = (weights / weights.sum(-1, keepdim=True))[..., None]
     mean_a, mean_b = (share * a).sum(-2), (share * b).sum(-2)
     moment = (share * (b - mean_b[..., None, :])).mT @ (a - mean_a[..., None, :])
-    U, _, V = torch.linalg.svd(moment)
+    told = moment.isfinite().flatten(-2).all(-1)[..., None, None]
+    U, _, V = torch.linalg.svd(moment.where(told, torch.zeros_like(moment)))  # which raises for a whole batch
     sign = torch.ones_like(mean_a)
     Q = U @ V
     sign[..., 2] = (torch.linalg.cross(Q[..., 0], Q[..., 1], dim=-1) * Q[..., 2]).sum(-1)  # determinant

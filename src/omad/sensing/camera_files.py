@@ -23,6 +23,8 @@ LARGEST = 1e7
 """Pixels of a focal length or a principal point."""
 FARTHEST = 1e3
 """Metres between cameras."""
+LENS, FISHEYE = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"), ("k1", "k2", "k3", "k4")
+"""Coefficients by name, in OpenCV's order."""
 REALSENSE = ("none", "modified_brown_conrady", "inverse_brown_conrady", "ftheta", "brown_conrady", "kannala_brandt4")
 """librealsense's models by number."""
 
@@ -42,11 +44,11 @@ class CameraFile:
 def read_camera(source: str | Path) -> CameraFile:
     """Intrinsics, lens and image size from ``fx,fy,cx,cy`` or a file. Files: Open3D JSON (``intrinsic_matrix``,
     column-major, alone or in PinholeCameraParameters), JSON or YAML with ``fx, fy, cx, cy`` or librealsense's ``fx, fy,
-    ppx, ppy`` (with ``model`` and ``coeffs``), ROS CameraInfo YAML (``K`` or ``k``, with ``distortion_model`` and ``D``
-    or ``d``), NPY, or text holding 3x3 or 4 numbers. Raises InputError for others."""
+    ppx, ppy`` (with ``model`` and ``coeffs``, or ``k1`` and so on), ROS CameraInfo YAML (``K`` or ``k``, with
+    ``distortion_model`` and ``D`` or ``d``), NPY, or text holding 3x3 or 4 numbers. Raises InputError for others."""
     text = str(source)
     if (numbers := _numbers(text)) is not None:
-        return CameraFile(_as_K(numbers, f"intrinsics {shown(repr(text))}"))
+        return CameraFile(as_K(numbers, f"intrinsics {shown(repr(text))}"))
     if not is_file(source):
         raise InputError(f"intrinsics {shown(repr(text))}: neither fx,fy,cx,cy nor an existing file")
     path = Path(source)
@@ -61,14 +63,14 @@ def parse_camera(text: str, name: str) -> CameraFile:
 
 
 def _told(data: Any, name: str | Path) -> CameraFile:
-    return CameraFile(_as_K(data, str(name))) if isinstance(data, np.ndarray) else camera_of(data, name)
+    return CameraFile(as_K(data, str(name))) if isinstance(data, np.ndarray) else camera_of(data, name)
 
 
 def camera_of(data: Any, name: str | Path) -> CameraFile:
     """What a table tells of a camera under any of the names that ``read_camera`` knows; ``name``: of it in messages.
     Raises InputError."""
     data = _inner(data)
-    K = _as_K(_find_intrinsics(data, name), str(name))
+    K = as_K(_find_intrinsics(data, name), str(name))
     try:
         return CameraFile(K, _find_distortion(data), _find_size(data))
     except InputError as error:
@@ -192,9 +194,14 @@ def _find_intrinsics(data: Any, name: str | Path) -> np.ndarray:
 
 def _find_distortion(data: dict[str, Any]) -> Distortion | None:
     """The lens that a file tells of; None for none, or for coefficients that are all zero."""
-    listed = next((data[key] for key in ("coeffs", "D", "d", "distortion_coefficients") if key in data), None)
-    coefficients = np.asarray([] if listed is None else _listed(listed), dtype=np.float64).ravel()
     model = _model_name(data.get("model", data.get("distortion_model", "")))
+    listed = next((data[key] for key in ("coeffs", "D", "d", "distortion_coefficients") if key in data), None)
+    if listed is None and "k1" in data:
+        if model is None and "k4" in data and "p1" not in data:
+            raise ValueError("it may be a fisheye lens or none")
+        names = FISHEYE if model in ("equidistant", "kannala_brandt4") else LENS
+        listed = [data.get(name, 0.0) for name in names]
+    coefficients = np.asarray([] if listed is None else _listed(listed), dtype=np.float64).ravel()
     # a fisheye lens without coefficients still is one
     if model == "none" or (not coefficients.any() and model != "equidistant"):
         return None
@@ -224,14 +231,14 @@ def _listed(value: Any) -> Any:
     return value["data"] if isinstance(value, dict) else value
 
 
-def _as_K(numbers: np.ndarray, name: str) -> np.ndarray:
-    """(3, 3) from 4 numbers (fx, fy, cx, cy) or 9 row by row."""
+def as_K(numbers: np.ndarray, name: str) -> np.ndarray:
+    """(3, 3) from 4 numbers (fx, fy, cx, cy) or 9 row by row; ``name``: of them in messages. Raises InputError."""
     if numbers.size not in (4, 9) or numbers.dtype.kind not in "iuf":
         raise InputError(f"{name}: expected fx,fy,cx,cy or a 3x3 matrix, got {numbers.size} numbers")
     numbers = numbers.astype(np.float64).ravel()
     K = numbers.reshape(3, 3) if numbers.size == 9 else Camera(0, 0, *numbers).K
     if not (np.abs(K) <= LARGEST).all() or K[0, 0] <= 0 or K[1, 1] <= 0 or not np.allclose(K[2], [0, 0, 1]):
-        raise InputError(f"{name}: no pinhole matrix; expected [fx 0 cx; 0 fy cy; 0 0 1] in pixels, row by row")
+        raise InputError(f"{name}: no pinhole matrix; expected [fx 0 cx; 0 fy cy; 0 0 1], positive pixels, row by row")
     return K
 
 

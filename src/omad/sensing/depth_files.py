@@ -34,14 +34,16 @@ MILLIMETRES = 1e-3
 """Metres per stored integer of a depth image that does not say otherwise."""
 
 
-def read_depth(path: str | Path, depth_scale: float | None = None) -> np.ndarray:
-    """Depth image (H, W) float32 in metres; 0 and what is not finite mean no measurement. 16-bit PNG or TIFF, or an
-    integer array: stored integers times ``depth_scale`` metres, by default millimetres. A float array (NPY, NPZ with
-    one array or one named ``depth``): metres, times ``depth_scale`` if given. Raises InputError for a missing,
-    unreadable or 8-bit file and for a wrong shape."""
+def read_depth(
+    path: str | Path, depth_scale: float | None = None, metres_per_integer: float = MILLIMETRES
+) -> np.ndarray:
+    """Depth image (H, W) float32 in metres; 0 and what is not finite mean no measurement. PNG, TIFF, or an array (NPY,
+    NPZ with one array or one named ``depth``): stored numbers times ``depth_scale``; without, integers times
+    ``metres_per_integer``, and floats as they are. Raises InputError for a missing, unreadable or 8-bit file and for a
+    wrong shape."""
     path = _existing(path, DEPTH_FORMATS, "depth image")
     stored = read_array(path, "depth") if path.suffix.lower() in ARRAY_FORMATS else read_image(path, path)
-    return _checked_depth(stored, path, depth_scale)
+    return _checked_depth(stored, path, depth_scale, metres_per_integer)
 
 
 def parse_depth(stored: bytes, name: str, depth_scale: float | None = None) -> np.ndarray:
@@ -49,12 +51,14 @@ def parse_depth(stored: bytes, name: str, depth_scale: float | None = None) -> n
     return _checked_depth(parse_stored(stored, "depth", name), name, depth_scale)
 
 
-def _checked_depth(stored: np.ndarray, name: str | Path, depth_scale: float | None) -> np.ndarray:
+def _checked_depth(
+    stored: np.ndarray, name: str | Path, depth_scale: float | None, metres_per_integer: float = MILLIMETRES
+) -> np.ndarray:
     if depth_scale is not None and not (np.isfinite(depth_scale) and depth_scale > 0):
         raise InputError(f"depth scale {depth_scale}: give metres per stored integer, 0.001 for millimetres")
     try:
         check_limit("image_pixels", stored.size, "the image")
-        return in_metres(stored, depth_scale)
+        return in_metres(stored, depth_scale, metres_per_integer)
     except InputError as error:
         raise InputError(f"{name}: {error}") from error
 
@@ -67,7 +71,9 @@ def parse_stored(stored: bytes, key: str, name: str, mode: str | None = None) ->
     return _called(parse_arrays(stored, name), key, name)
 
 
-def in_metres(stored: np.ndarray, depth_scale: float | None = None) -> np.ndarray:
+def in_metres(
+    stored: np.ndarray, depth_scale: float | None = None, metres_per_integer: float = MILLIMETRES
+) -> np.ndarray:
     """Depth image (H, W) float32 in metres of stored numbers, as ``read_depth`` takes them. Raises InputError."""
     stored = stored[..., 0] if stored.ndim == 3 and stored.shape[2] == 1 else stored
     if stored.ndim != 2 or stored.dtype == np.uint8:
@@ -75,7 +81,7 @@ def in_metres(stored: np.ndarray, depth_scale: float | None = None) -> np.ndarra
         raise InputError(f"{stored.dtype} of shape {stored.shape} is no depth image {cure}")
     if stored.dtype.kind not in "iuf":
         raise InputError(f"dtype {stored.dtype} is no depth; store integers or floats")
-    usual = 1.0 if stored.dtype.kind == "f" else MILLIMETRES
+    usual = 1.0 if stored.dtype.kind == "f" else metres_per_integer
     metres = np.empty(stored.shape, dtype=np.float32)
     scale = np.float64(usual if depth_scale is None else depth_scale)
     np.multiply(stored, scale, out=metres, dtype=np.float64, casting="same_kind")  # in blocks, unlike astype
@@ -213,7 +219,7 @@ def _table(path: Path, lines: list[str]) -> np.ndarray:
 
 
 def _read_pcd(path: Path) -> np.ndarray:
-    """x, y, z of a PCD file, ascii, binary or binary_compressed."""
+    """x, y, z of a PCD file, ascii or binary."""
     data = read_bytes(path)
     header: dict[str, list[str]] = {}
     start = 0

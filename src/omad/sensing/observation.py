@@ -13,6 +13,7 @@ from omad.geometry.camera import Camera
 from omad.geometry.lens import Distortion
 from omad.geometry.transforms import MIRROR_X
 
+from .camera_files import as_K
 from .foreign.cameras import camera_from
 from .foreign.images import depth_from, image_from, points_from
 from .masks import as_mask
@@ -24,6 +25,8 @@ FARTHEST = 1e4
 """Metres. Nothing is measured farther away: such numbers mean no measurement."""
 MOST_POINTS = 1_500_000
 """Of an observation: a network looks at hundreds, and what many millions of pixels say of an object, these do."""
+NEAREST, FEW = 0.05, 0.01
+"""Of a cloud: points nearer than this share of its distance along z are wrong, where they are not more than this."""
 NEIGHBOURS = 8
 """Of a point, to tell whether it flies alone."""
 
@@ -55,6 +58,8 @@ class Observation:
     """What a person should know before trusting the result."""
     color: np.ndarray | None = None
     """(H, W, 3) uint8, what a colour camera saw at the pixels of ``depth``: for pictures."""
+    every: int = 1
+    """Rows and columns of ``depth`` for one of points."""
 
     def __repr__(self) -> str:
         image = "" if self.camera is None else f" of a {self.camera.width}x{self.camera.height} image"
@@ -129,11 +134,7 @@ class Observation:
         kept, warnings = _select(points, segment, chosen.ravel()[place])
         if len(kept) < count or segment is not None:
             place, pixels, points = place[kept], pixels[kept], points[kept]
-            chosen = np.zeros(depth.shape, dtype=bool)
-            chosen.ravel()[place] = True
-            if every > 1:
-                blocks = chosen[::every, ::every].repeat(every, 0).repeat(every, 1)
-                chosen = blocks[: depth.shape[0], : depth.shape[1]] & measured
+            chosen = _mask_of(pixels, depth, every)
         if camera.distortion is not None:
             color = None if color is None else np.stack([camera.rectified(color[..., i]) for i in range(3)], -1)
             depth, chosen, camera = camera.rectified(depth), camera.rectified(chosen), camera.pinhole
@@ -144,7 +145,7 @@ class Observation:
                 raise NothingSeen(f"{lie}, at least {MIN_POINTS} are needed; check its coefficients")
             points, pixels = points[kept], pixels[kept].astype(int)
         warnings = _doubts(camera) + _odd_mask(mask) + warnings
-        seen = cls(points.astype(np.float32), depth, camera, pixels, chosen, warnings, color)
+        seen = cls(points.astype(np.float32), depth, camera, pixels, chosen, warnings, color, every)
         return seen.without_strays() if drop_flying else seen
 
     def part(self, index: np.ndarray) -> Self:
@@ -156,9 +157,7 @@ class Observation:
         if self.depth is None or self.pixels is None:
             return replace(self, points=points)
         pixels = self.pixels[index]
-        mask = np.zeros(self.depth.shape, dtype=bool)
-        mask[pixels[:, 1], pixels[:, 0]] = True
-        return replace(self, points=points, pixels=pixels, mask=mask)
+        return replace(self, points=points, pixels=pixels, mask=_mask_of(pixels, self.depth, self.every))
 
     def inside(self, box: Sequence[float]) -> np.ndarray:
         """(N,) bool: which points are within a ``box`` (x1, y1, x2, y2) in pixels, half-open. Raises InputError for
@@ -195,7 +194,7 @@ class Observation:
         steady = self.part(~_flying(self.points)) if len(self.points) > NEIGHBOURS else self
         if steady.depth is None or steady.pixels is None:
             return steady
-        return steady.part(~hanging(steady.points, steady.pixels, steady.depth.shape))
+        return steady.part(~hanging(steady.points, steady.pixels // self.every, steady.depth.shape))
 
     @property
     def depth_range(self) -> tuple[float, float]:
@@ -221,6 +220,11 @@ class Observation:
         if len(cloud) < MIN_POINTS:
             raise NothingSeen(f"points: {len(cloud)} within {FARTHEST:g} m, at least {MIN_POINTS} are needed")
         kept, warnings = _select(cloud, segment)
+        depth = cloud[kept, 2]
+        beside = depth < NEAREST * np.median(depth)
+        if 0 < (count := np.count_nonzero(beside)) <= FEW * len(kept):  # their rays are far from all others
+            kept = kept[~beside]
+            warnings += (f"{count} point(s) beside or behind the camera were left out",)
         if (behind := float((cloud[kept, 2] <= 0).mean())) > 0:
             cure = "the cloud should be in the camera frame, z forward"
             warnings += (f"{behind:.0%} of the points lie behind the camera: {cure}",)
@@ -231,6 +235,14 @@ class Observation:
 def _every(used: np.ndarray) -> int:
     """So that of every so many rows and columns of the image ``used`` (H, W) not too many pixels are left."""
     return max(1, math.ceil(math.sqrt(np.count_nonzero(used) / MOST_POINTS)))
+
+
+def _mask_of(pixels: np.ndarray, depth: np.ndarray, every: int) -> np.ndarray:
+    """(H, W) bool of points at ``pixels`` (N, 2), for each of which there are so many rows and columns."""
+    height, width = depth.shape
+    mask = np.zeros((-(-height // every), -(-width // every)), dtype=bool)
+    mask[tuple(pixels.T[::-1] // every)] = True
+    return mask if every == 1 else mask.repeat(every, 0).repeat(every, 1)[:height, :width] & (depth > 0)
 
 
 def _numbers(values: Any, name: str) -> np.ndarray:
@@ -274,7 +286,7 @@ def _check_camera(K: Any, shape: tuple[int, ...]) -> Camera:
     if isinstance(K, Camera):
         if (K.height, K.width) != (height, width):
             raise InputError(f"depth: is {width}x{height} but its camera {K.width}x{K.height}; use the image's own")
-        numbers([K.fx, K.fy, K.cx, K.cy], 4, what="intrinsics")
+        as_K(numbers([K.fx, K.fy, K.cx, K.cy], 4, what="intrinsics"), "intrinsics")
         return K
     if K is None:
         raise InputError("intrinsics: none given; pass K as a 3x3 matrix or (fx, fy, cx, cy) in pixels")
@@ -283,13 +295,10 @@ def _check_camera(K: Any, shape: tuple[int, ...]) -> Camera:
             size = "x".join(map(str, told.size))
             raise InputError(f"depth: is {width}x{height} but its camera {size}; use the image's own")
         return Camera.from_K(told.K, width, height, told.distortion)
-    values = _numbers(K, "intrinsics").astype(np.float64)
-    values = Camera(width, height, *values).K if values.shape == (4,) else values
-    if values.shape != (3, 3):
+    values = _numbers(K, "intrinsics")
+    if values.shape not in ((4,), (3, 3)):
         raise InputError(f"intrinsics: expected a 3x3 matrix or (fx, fy, cx, cy), got shape {values.shape}")
-    if not (np.abs(values) < 1e7).all() or values[0, 0] <= 0 or values[1, 1] <= 0:
-        raise InputError(f"intrinsics: focal lengths {values[0, 0]}, {values[1, 1]} must be positive pixels")
-    return Camera.from_K(values, width, height)
+    return Camera.from_K(as_K(values, "intrinsics"), width, height)
 
 
 def _check_color(color: Any, shape: tuple[int, ...]) -> np.ndarray | None:
@@ -348,8 +357,8 @@ def _select(
         if found.rival > RIVAL:
             warnings += ("another thing of similar size stands beside the one chosen; give a box or a mask",)
     if len(kept) < MIN_POINTS:
-        need = f"{MIN_POINTS} are needed; give a mask or a box"
-        raise NothingSeen(f"segment: only {len(kept)} of {len(points)} points are left, {need}")
+        need = f"{MIN_POINTS} are needed; {'check K' if segment is None else 'give a mask or a box'}"
+        raise NothingSeen(f"{segment or 'points'}: only {len(kept)} of {len(points)} points are left, {need}")
     return kept, warnings
 
 

@@ -17,7 +17,6 @@ from .beside import Beside, is_companion
 from .camera_files import CameraFile, parse_distortion, read_camera, read_transform
 from .colour_mask import ColourCamera
 from .depth_files import (
-    ARRAY_FORMATS,
     CLOUD_FORMATS,
     COLOR_FORMATS,
     DEPTH_FORMATS,
@@ -101,7 +100,7 @@ class InputReader:
     def _depth(self, file: Path) -> Observation:
         beside = Beside.of(file)
         mask = self._mask(file, beside)
-        depth = read_depth(file, self._given_or_told(file, beside))
+        depth = read_depth(file, self.depth_scale, beside.depth_scale or MILLIMETRES)
         color = self.color if self.color is not None else beside.color
         if isinstance(color, Path):
             color = read_color(_of_its_name(file, color, "colour image", COLOR_FORMATS) if color.is_dir() else color)
@@ -112,18 +111,15 @@ class InputReader:
         if isinstance(self.mask, Path):
             return read_mask(_of_its_name(file, self.mask, "mask", MASK_FORMATS), self.mask_id)
         told = self.whole or self.mask is not None or self.box is not None or self.segment is not None
-        return self.mask if told or beside.mask is None else read_mask(beside.mask)
+        return self.mask if told or beside.mask is None else read_mask(beside.mask, self.mask_id)
 
     def metres_per_number(self, file: Path) -> float | None:
         """Of a depth image or cloud, where that can be told without its numbers."""
         if is_cloud(file):
             return self.depth_scale or 1.0
-        usual = MILLIMETRES if file.suffix.lower() == ".png" else None
-        return self._given_or_told(file, Beside.of(file)) or usual
-
-    def _given_or_told(self, file: Path, beside: Beside) -> float | None:
-        integers = file.suffix.lower() not in ARRAY_FORMATS
-        return beside.depth_scale if self.depth_scale is None and integers else self.depth_scale
+        if self.depth_scale is not None or file.suffix.lower() != ".png":
+            return self.depth_scale
+        return Beside.of(file).depth_scale or MILLIMETRES
 
     def _contradicted(self, file: Path, beside: Beside) -> Iterator[str]:
         """Where the options say other than what lies beside the image."""

@@ -20,7 +20,7 @@ def steadied(seen: Observation) -> Observation:
     if seen.depth is None or seen.pixels is None:
         return seen
     z = np.ascontiguousarray(seen.points[:, 2])
-    mean = _mean_depth(z, seen.pixels, seen.depth.shape)
+    mean = _mean_depth(z, seen.pixels // seen.every, seen.depth.shape)
     return replace(seen, points=seen.points * (mean / z)[:, None])
 
 

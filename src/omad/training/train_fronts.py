@@ -15,7 +15,7 @@ from omad.common.arrays import digest_of
 from omad.common.batches import progress
 from omad.common.errors import InputError
 from omad.data.rendering.depth_noise import LEVELS
-from omad.data.rendering.spoils.thinned import thinly_spoilt
+from omad.data.rendering.spoils.thinned import some_points, thinly_spoilt
 from omad.data.rendering.standard_views import View, standard_view
 from omad.model.fronts.hands import HandNet
 from omad.model.fronts.image import MOST, front_image
@@ -31,6 +31,8 @@ STRETCH = 0.15
 """Standard deviation of the logarithm of each side."""
 PLACED = 2
 """How often a view is looked at, each time with another error of the object's place."""
+SPARSE = 0.4
+"""Share of these looks that see a part of the points alone."""
 LEAST, LARGEST = 0.3, 2.0
 """Factors of these errors: most estimates are near the truth, some are not."""
 TURNED, MOVED, SIZED = np.radians(1.5), 0.02, 0.03
@@ -55,8 +57,8 @@ class HandTraining(Training):
 
 def front_images(models: Sequence[ObjectModel], category: Category, views: int, seed: int) -> np.ndarray:
     """(n, 5, ROWS, COLUMNS) int8, ``STEPS`` of them one: fronts of the ``models`` in so many views, clean and spoilt by
-    turns, of places that are wrong by as much as an estimate is. The same for the same arguments. Raises InputError
-    where none of the views shows enough."""
+    turns, of all their points or few, of places that are wrong by as much as an estimate is. The same for the same
+    arguments. Raises InputError where none of the views shows enough."""
     made = []
     for index in progress(range(views), views, every=30.0):
         rng = np.random.default_rng((seed, index))
@@ -66,7 +68,10 @@ def front_images(models: Sequence[ObjectModel], category: Category, views: int, 
             continue
         for _ in range(PLACED):
             place = _misplaced(view.T_camera_base, view.truth.part_boxes[0], rng)
-            made.append(np.rint(STEPS * front_image(observed.points, *place)).astype(np.int8))
+            points = observed.points
+            if rng.random() < SPARSE:
+                points = points[some_points(len(points), rng)]
+            made.append(np.rint(STEPS * front_image(points, *place)).astype(np.int8))
     if not made:
         raise InputError(f"{category.name}: too little of it is seen in {views} view(s); give more")
     return np.stack(made)

@@ -34,7 +34,10 @@ class FrameReader:
             if source is None:
                 return self._of_one_size(reader(frame.path))
             mask = source.mask if source.mask is not None or isinstance(reader.mask, Path) else reader.mask
-            return self._of_one_size(reader.observe(source.depth, mask, reader.camera or source.camera, source.color))
+            camera = reader.camera or source.camera
+            if camera is None:
+                raise InputError("its camera is not told; name its topic with --info-topic, or give --intrinsics")
+            return self._of_one_size(reader.observe(source.depth, mask, camera, source.color))
 
     def _cut_out(self, seen: Observation, box: Sequence[float] | None) -> Observation:
         return self.find(self._of_one_size(seen), box)

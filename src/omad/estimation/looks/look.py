@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any
 
 import torch
@@ -24,7 +23,7 @@ class Look:
     frame: Tensor
     """T_camera_input (B, 4, 4)."""
 
-    @cached_property
+    @property
     def state(self) -> State:
         """What the network itself says of the unknowns."""
         beta, states = (

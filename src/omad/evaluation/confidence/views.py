@@ -10,7 +10,7 @@ from omad.data.procedural import GENERATORS, generate
 from omad.data.rendering.spoils.scenes import draw_scene
 from omad.data.rendering.spoils.spoiling import spoilt, within_range
 from omad.data.rendering.spoils.things import simple_thing
-from omad.data.rendering.spoils.thinned import thinned_spoil
+from omad.data.rendering.spoils.thinned import FEWEST, some_points, thinned_spoil
 from omad.data.rendering.standard_views import View
 from omad.geometry.mesh import Mesh
 from omad.geometry.rigid import box
@@ -25,8 +25,8 @@ STRETCHED = 0.5
 """Share of the category's objects whose proportions are changed ..."""
 STRETCHES = (0.1, 0.25)
 """... by one of these, the standard deviation of each side's logarithm: real objects are unlike those trained on."""
-SPARSE, SPARSEST = 0.25, 500
-"""Share of the views of which some points alone are shown, and the fewest of them: clouds as others thin them out."""
+SPARSE = 0.25
+"""Share of the views of which some points alone are shown."""
 SEEDS = 2**31
 
 
@@ -82,9 +82,7 @@ def _example(models: Sequence[ObjectModel], category: Category, seed: tuple[int,
 
 def _some(points: int, rng: np.random.Generator) -> np.ndarray | None:
     """Which of so many points are shown: mostly all."""
-    if rng.random() >= SPARSE or points <= SPARSEST:
-        return None
-    return rng.permutation(points)[: int(np.exp(rng.uniform(np.log(SPARSEST), np.log(points))))]
+    return None if rng.random() >= SPARSE or points <= FEWEST else some_points(points, rng)
 
 
 def _at_some_size(model: ObjectModel, own: Category, category: Category, rng: np.random.Generator) -> ObjectModel:

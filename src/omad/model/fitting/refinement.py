@@ -62,13 +62,13 @@ class PlainSolver:
         """(B, 4, 4) of the base where the keypoints are nearest to the targets."""
         at_origin = torch.eye(4).to(state.beta).expand(len(state.beta), 4, 4)
         keypoints = self.prior.deform(state.beta, state.joint_states, at_origin)
-        return fit_transform(keypoints, targets.keypoints, targets.weights)
+        return fit_transform(keypoints, _counted(targets), targets.weights)
 
     def __call__(self, targets: Targets, initial: State, limits: Tensor) -> Refined:
         """From ``initial``; ``limits`` (B, J, 2)."""
         prior, config, joints = self.prior, self.config, self.prior.tree.num_joints
         free = self.free.to(targets.keypoints)
-        seen = torch.where((targets.weights == 0)[..., None], 0.0, targets.keypoints)
+        seen = _counted(targets)
 
         def at(x: Tensor, index: Tensor) -> Linearisation:
             own = Targets(seen[index], targets.weights[index])
@@ -84,6 +84,11 @@ class PlainSolver:
         points = prior.deform(state.beta, state.joint_states, state.T_camera_base)
         covariance = covariance_of(found.hessian.double(), self.free).to(free)
         return Refined.of(state, points, targets, covariance, found.converged, found.iterations)
+
+
+def _counted(targets: Targets) -> Tensor:
+    """(B, N, 3) keypoints, with zeros for those left out, which may be anything."""
+    return torch.where((targets.weights == 0)[..., None], 0.0, targets.keypoints)
 
 
 class Refiner:

@@ -37,7 +37,8 @@ def inference_net(net: OmadNet) -> OmadNet | InferenceNet:
 
 
 class InferenceNet:
-    """A copy of a network's weights. Several threads may call it at once: each has its own buffers."""
+    """A network laid out for the CPU; its weights do not change any more. Several threads may call it at once: each has
+    its own buffers."""
 
     def __init__(self, net: OmadNet) -> None:
         assert isinstance(net.backbone, PointNet2)

@@ -1,5 +1,6 @@
 """Recordings: ROS 2 (MCAP, .db3) and ROS 1 bags, RealSense's .bag among them, read by the library rosbags."""
 
+from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib import import_module
@@ -17,8 +18,12 @@ from .images import depth_from, image_from
 
 SUFFIXES = (".mcap", ".db3", ".bag")
 IMAGE, COMPRESSED, INFO = (f"sensor_msgs/msg/{name}" for name in ("Image", "CompressedImage", "CameraInfo"))
+INSIDE = ("info", "camera_info")
+"""What a camera's topic has after that of its images."""
 WITHIN = 0.05
 """Seconds by which a mask or a colour image may be older or younger than the depth image that it is for."""
+LATE = 2.0
+"""Seconds by which it may be recorded later: masks are worked out."""
 NANOSECONDS = 1e-9
 
 
@@ -62,8 +67,9 @@ def is_bag(path: Path) -> bool:
 
 
 def read_bag(path: Path, topics: Topics) -> Iterator[RecordedFrame]:
-    """Depth images in the order of the recording, each with the last camera, colours and mask before it. Raises
-    InputError for what cannot be read, and where the topics are not there."""
+    """Depth images in the order of the recording, each with its camera, and with the colours and the mask that were
+    taken at the same moment by the stamps in their headers. Raises InputError for what cannot be read, and where the
+    topics are not there."""
     try:
         highlevel, typesys = import_module("rosbags.highlevel"), import_module("rosbags.typesys")
     except ImportError as error:
@@ -79,56 +85,104 @@ def read_bag(path: Path, topics: Topics) -> Iterator[RecordedFrame]:
 
 @dataclass(frozen=True)
 class _Chosen:
-    depth: Any
-    info: Any
-    color: Any
-    mask: Any
+    """Connections of each topic: of one that was published anew there are several."""
+
+    depth: list[Any]
+    info: list[Any]
+    color: list[Any]
+    mask: list[Any]
 
     def all(self) -> list[Any]:
-        return [each for each in (self.depth, self.info, self.color, self.mask) if each is not None]
+        return [*self.depth, *self.info, *self.color, *self.mask]
 
 
 def _chosen(reader: Any, topics: Topics, path: Path) -> _Chosen:
-    images = [c for c in reader.connections if c.msgtype in (IMAGE, COMPRESSED)]
+    listed = sorted({c.topic for c in reader.connections})
 
-    def named(name: str | None) -> Any:
-        if name is None:
-            return None
-        found = [c for c in reader.connections if c.topic == name]
-        if not found:
-            listed = ", ".join(sorted({c.topic for c in reader.connections}))
-            raise InputError(f"{path}: no topic {name}; there are {listed}")
-        return found[0]
+    def of(topic: str | None) -> list[Any]:
+        if topic is not None and topic not in listed:
+            raise InputError(f"{path}: no topic {topic}; there are {', '.join(listed)}")
+        return [c for c in reader.connections if c.topic == topic]
 
-    depth = named(topics.depth_topic)
+    depth = topics.depth_topic
     if depth is None:
-        likely = [c for c in images if "depth" in c.topic.lower()] or images[:1]
+        images = [c.topic for c in reader.connections if c.msgtype in (IMAGE, COMPRESSED)]
+        likely = [topic for topic in images if "depth" in topic.lower()] or images[:1]
         if not likely:
-            listed = ", ".join(sorted({c.topic for c in reader.connections})) or "none"
-            raise InputError(f"{path}: no images of depth in it; topics are {listed}; name one with --depth-topic")
+            there = ", ".join(listed) or "none"
+            raise InputError(f"{path}: no images of depth in it; topics are {there}; name one with --depth-topic")
         # raw depth keeps its pixels: what is aligned or registered to colours has been warped
-        depth = min(likely, key=lambda c: ("aligned" in c.topic or "registered" in c.topic, c.topic))
-    infos = [c for c in reader.connections if c.msgtype == INFO]
-    info = named(topics.info_topic) or max(infos, key=lambda c: _common(c.topic, depth.topic), default=None)
-    return _Chosen(depth, info, named(topics.color_topic), named(topics.mask_topic))
+        depth = min(likely, key=lambda topic: ("aligned" in topic or "registered" in topic, topic))
+    infos = {c.topic for c in reader.connections if c.msgtype == INFO}
+    info = topics.info_topic or _camera_beside(depth, infos)
+    return _Chosen(of(depth), of(info), of(topics.color_topic), of(topics.mask_topic))
 
 
-def _common(one: str, other: str) -> int:
-    """Length of what two topics begin with."""
-    return next((i for i, (a, b) in enumerate(zip(one, other, strict=False)) if a != b), min(len(one), len(other)))
+def _camera_beside(image: str, infos: set[str]) -> str | None:
+    """Of ``infos`` the topic in the namespace of an ``image``'s; a camera of another one is not the image's."""
+    words, found = image.split("/"), {}
+    for info in infos:
+        own = info.split("/")
+        shared = next((i for i, (a, b) in enumerate(zip(own, words, strict=False)) if a != b), len(own))
+        if all(word in INSIDE for word in own[shared:]):
+            found[info] = shared
+    return max(sorted(found), key=found.__getitem__, default=None)
+
+
+@dataclass(frozen=True)
+class _Image:
+    """A message as it was recorded."""
+
+    message: Any
+    recorded: int
+    """Nanoseconds."""
+
+    @property
+    def taken(self) -> float:
+        """Seconds: when, as its header says; some leave that out."""
+        stamp = self.message.header.stamp
+        return stamp.sec + stamp.nanosec * NANOSECONDS or self.recorded * NANOSECONDS
 
 
 def _frames(reader: Any, chosen: _Chosen) -> Iterator[RecordedFrame]:
-    camera: CameraFile | None = None
-    beside: dict[str, tuple[float, np.ndarray]] = {}
-    for connection, stamp, raw in reader.messages(connections=chosen.all()):
-        message, time = reader.deserialize(raw, connection.msgtype), stamp * NANOSECONDS
-        if connection.topic == chosen.depth.topic:
-            recent = {name: image for name, (when, image) in beside.items() if time - when <= WITHIN}
-            own = recent.get("color"), recent.get("mask")
-            yield RecordedFrame(str(stamp), time, depth_from(message).depth, camera, *own)
-        elif chosen.info is not None and connection.topic == chosen.info.topic:
+    # the camera may be told after the first image
+    infos = reader.messages(connections=chosen.info) if chosen.info else ()
+    camera = next((camera_from(reader.deserialize(raw, told.msgtype)) for told, _, raw in infos), None)
+    depth, info, color = ({c.topic for c in found} for found in (chosen.depth, chosen.info, chosen.color))
+    waiting: deque[tuple[_Image, CameraFile | None]] = deque()
+    beside: dict[str, deque[_Image]] = {kind: deque() for kind in ("color", "mask") if getattr(chosen, kind)}
+
+    def settled(frame: _Image, now: int) -> bool:
+        """Whether no image that is yet to come may be nearer to it."""
+        late = (now - frame.recorded) * NANOSECONDS > LATE
+        return late or all(images and images[-1].taken >= frame.taken for images in beside.values())
+
+    def first() -> RecordedFrame:
+        frame, own = waiting.popleft()
+        with_it = {kind: _nearest(images, frame.taken) for kind, images in beside.items()}
+        time = frame.recorded * NANOSECONDS
+        return RecordedFrame(str(frame.recorded), time, depth_from(frame.message).depth, own, **with_it)
+
+    for connection, recorded, raw in reader.messages(connections=chosen.all()):
+        message = reader.deserialize(raw, connection.msgtype)
+        if connection.topic in info:
             camera = camera_from(message)
+        elif connection.topic in depth:
+            waiting.append((_Image(message, recorded), camera))
         else:
-            name = "color" if chosen.color is not None and connection.topic == chosen.color.topic else "mask"
-            beside[name] = time, image_from(message)
+            images = beside["color" if connection.topic in color else "mask"]
+            images.append(_Image(message, recorded))
+            while not waiting and (recorded - images[0].recorded) * NANOSECONDS > LATE:
+                images.popleft()
+        while waiting and settled(waiting[0][0], recorded):
+            yield first()
+    while waiting:
+        yield first()
+
+
+def _nearest(images: deque[_Image], taken: float) -> np.ndarray | None:
+    """Of those taken at that time or nearly so; what is older is forgotten."""
+    while images and images[0].taken < taken - WITHIN:
+        images.popleft()
+    near = min(images, key=lambda image: abs(image.taken - taken), default=None)
+    return None if near is None or near.taken > taken + WITHIN else image_from(near.message)

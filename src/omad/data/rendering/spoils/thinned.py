@@ -16,6 +16,8 @@ from .spoiling import spoilt, within_range
 
 WAVES = (0.002, 0.03)
 """Smooth depth error as a share of the object's diagonal."""
+FEWEST = 500
+"""Points of a cloud that is thinned out."""
 
 Setting = TypeVar("Setting", Spoil, Staging)
 
@@ -38,3 +40,8 @@ def thinly_spoilt(model: ObjectModel, category: Category, seed: Sequence[int]) -
 def _thinned(settings: Setting, share: float, rng: np.random.Generator) -> Setting:
     left_out = {field.name: field.default for field in fields(settings) if rng.random() > share}
     return replace(settings, **left_out)
+
+
+def some_points(count: int, rng: np.random.Generator) -> np.ndarray:
+    """Which of so many points are left of a cloud that someone has thinned out: all, or as few as ``FEWEST``."""
+    return rng.permutation(count)[: int(np.exp(rng.uniform(np.log(min(FEWEST, count)), np.log(count))))]
