@@ -189,6 +189,12 @@ def test_it_runs_where_nothing_else_is_installed(deployed, tmp_path):
     )  # fmt: skip
     assert refused.returncode == 2
     assert "too few" in refused.stderr
+    gone = subprocess.run(
+        [sys.executable, "-c", ALONE, str(deployed), str(tmp_path / "gone.npy")],
+        capture_output=True, text=True, timeout=300, check=False,
+    )  # fmt: skip
+    assert gone.returncode == 2
+    assert len(gone.stderr.splitlines()) == 1
 
 
 def test_without_the_exporter_the_cure_is_named(monkeypatch, tmp_path):

@@ -160,6 +160,16 @@ def test_what_is_rendered_in_shards_is_estimated_and_measured(in_a_folder_of_its
             equal_nan=True,  # degrees, by other batches
         )
     assert "--output: is missing" in refused(capsys, "eval", "pose", *objects, "--cluster")
+    once = ["eval", "pose", *objects, "--cluster", "--shard", "5", "--output"]
+    assert "other inputs or settings" in refused(capsys, *once, "errors", "--to-surface")
+    further = answer(capsys, *once, "further", "--to-surface")
+    assert further["initial"]["joint_state_error_deg"] == measured["initial"]["joint_state_error_deg"]
+    assert further["refined"]["joint_state_error_deg"] != measured["refined"]["joint_state_error_deg"]
+    answer(capsys, "export", *LAPTOP, "--output", "own")
+    answer(capsys, *once, "of-own", "--weights", "own")
+    Path("own/confidence.json").unlink()  # other weights, called as before
+    assert "other inputs or settings" in refused(capsys, *once, "of-own", "--weights", "own")
+    assert "--broken" in refused(capsys, *once, "errors", "--broken", "skip")
 
 
 @pytest.mark.slow

@@ -377,9 +377,17 @@ def test_rows_that_there_are_not_and_options_that_exclude_each_other(capsys):
         assert "--clutter" in refused(capsys, "render", *LAPTOP, "--output", "x", "--clutter", *other)
 
 
+def test_weights_of_one_category_are_not_taken_for_others(capsys):
+    for command in (["figure", "sweep", "--output", "x"], ["detect", "d.npy", *K]):
+        np.save("d.npy", np.ones((480, 640)))
+        line = refused(capsys, *command, "--weights", SHIPPED, "--categories", "drawer")
+        assert "is for laptop, not for drawer" in line
+
+
 def test_seeds_and_threads(capsys):
     assert "--threads" in refused(capsys, "train", "prior", *LAPTOP, "--output", "x", "--threads", "-1")
-    for command in (["generate", "--output", "x"], ["render", "--output", "x"], ["eval", "pose"], ["demo"]):
+    for command in (["generate", "--output", "x"], ["render", "--output", "x"], ["eval", "pose"], ["demo"],
+                    ["eval", "pose", "--source", "."]):  # fmt: skip
         assert "seed" in refused(capsys, *command, *LAPTOP, "--seed", "-1")
 
 

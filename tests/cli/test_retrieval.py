@@ -200,6 +200,9 @@ def test_a_catalogue_on_disk_is_built_added_to_merged_and_asked(capsys):
     build(capsys, "--objects", "4")
     merged = answer(capsys, "index", "merge", "large", "index.npz", "--output", "all")
     assert merged["entries"] == 9
+    assert "leave it out" in refused(capsys, "index", "merge", "large", "all", "--output", "./all")
+    assert answer(capsys, *on_disk, "--source", "unusual", "--objects", "2")["entries"] == 7
+    assert answer(capsys, *on_disk, "--source", "unusual", "--objects", "2", "--seed", "7")["entries"] == 9
     found = answer(capsys, "index", "query", save_png("q.png"), *K, "--index", "all", "--count", "3")
     names = [hit["object"] for hit in found["ranking"]]
     assert set(names) == {"mine", "other", generate(LAPTOP, 0, "test").name}  # three of what the view shows

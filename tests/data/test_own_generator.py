@@ -40,6 +40,10 @@ def test_they_are_written_and_imported_by_commands(capsys, tmp_path, monkeypatch
     answer(capsys, "generate", *spec, "--source", str(GENERATOR), "--output", "made", "--objects", "3")
     assert len(answer(capsys, "import", "made", *spec, "--output", "seen")["used"]) == 3
     answer(capsys, "render", *spec, "--source", str(GENERATOR), "--output", "views", "--objects", "2", "--views", "2")
+    other = tmp_path / "mailbox.toml"
+    other.write_text(SPEC.read_text() + "\n[views]\nelevation = [80, 89]\n")
+    drawn = ["--source", str(GENERATOR), "--output", "views", "--objects", "2", "--views", "4"]
+    assert "viewpoints" in refused(capsys, "render", "--category", str(other), *drawn)
     assert "mailbox" in refused(capsys, "generate", *spec, "--output", "none")  # no file is run that was not named
 
 
@@ -53,6 +57,11 @@ WRONG = {
         "from omad.data.procedural.vocabulary import JointedParts, box\n\n\ndef generate(rng, category, unusual):\n"
         "    return JointedParts((box((0, 0, 0), (1, 1, 1)),), rng.normal(size=(1, 3)))\n",
         "parts of 1, a mailbox has 2",
+    ),
+    "parts that are none": (
+        "from omad.data.procedural.vocabulary import JointedParts\n\n\ndef generate(rng, category, unusual):\n"
+        "    return JointedParts((None, None), rng.normal(size=(1, 3)))\n",
+        "parts that are no Mesh",
     ),
     "pivots of another shape": (
         "from omad.data.procedural.vocabulary import JointedParts, box\n\n\ndef generate(rng, category, unusual):\n"
@@ -88,6 +97,18 @@ def test_numbers_that_cannot_be_are_said_in_a_line(part, further, said, tmp_path
     )
     with pytest.raises(InputError, match=said):
         own_generator(file)(np.random.default_rng(0), MAILBOX, None)
+
+
+def test_lists_and_axes_of_any_length_are_taken(tmp_path):
+    file = tmp_path / "own.py"
+    file.write_text(
+        "from omad.data.procedural.vocabulary import JointedParts, box\n\n\ndef generate(rng, category, unusual):\n"
+        "    part = box((0, 0, 0), (0.1, 0.1, 0.1))\n"
+        "    return JointedParts((part, part), [[0, 0, 0]], axes=[[2, 0, 0]], limits=[[0, 1]])\n"
+    )
+    made = own_generator(file)(np.random.default_rng(0), MAILBOX, None)
+    np.testing.assert_array_equal(made.axes, [[1.0, 0, 0]])
+    np.testing.assert_array_equal(made.limits, [[0.0, 1]])
 
 
 @pytest.mark.parametrize(("text", "said"), WRONG.values(), ids=WRONG)

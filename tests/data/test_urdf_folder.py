@@ -240,6 +240,14 @@ def test_alike_parts_are_put_in_order_by_where_they_lie(tmp_path):
     with pytest.raises(InputError, match="chest"):
         import_model(edited(write_urdf(shuffled, tmp_path), fourth), CHEST)
 
+    def keys(root) -> None:
+        for key in range(60):
+            box_link(root, f"key {key}", (-0.2, 0.0, -0.19), (0.2, 0.2, 0.21))
+            extra_joint(root, f"press {key}", "frame", f"key {key}", "prismatic", lower="0", upper="0.3")
+
+    with pytest.raises(InputError, match=r"in \d+ ways"):
+        import_model(edited(write_urdf(shuffled, tmp_path), keys), CHEST)
+
 
 # Refusals ------------------------------------------------------------------------------------------------------------
 

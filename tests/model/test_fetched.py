@@ -57,6 +57,18 @@ def rewrite(folder: Path, change) -> None:
     (folder / MANIFEST).write_text(json.dumps(manifest))
 
 
+def test_an_exported_checkpoint_is_complete_alone_and_holds_nothing_else(exported, tmp_path, capsys):
+    assert (exported / "prior" / "model.safetensors").is_file()
+    (exported / "prior" / "config.json").unlink()
+    (exported / "confidence.json").unlink()
+    again = tmp_path / "again"
+    shutil.copytree(exported, again)
+    (again / "confidence.json").write_text("of another one")
+    assert run(["export", "--category", "laptop", "--weights", str(exported), "--output", str(again), "--json"]) == 0
+    assert "confidence.json" not in json.loads(capsys.readouterr().out)["files"]
+    assert not (again / "confidence.json").exists()
+
+
 def test_fetched_weights_answer_like_the_shipped_ones(server, exported):
     view = laptop_view()
     seen = Observation.from_depth(view.depth, view.camera)

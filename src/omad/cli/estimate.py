@@ -97,7 +97,7 @@ class EstimateCommand(CategoryCommand):
             raise InputError("--to-surface: each of several views would go its own way; leave it or --together out")
         own = None if auto and self.weights is None else self.estimator(self.fast)
         chosen = None if auto else own
-        every = partial(_all_categories, own, self.device)
+        every = partial(_all_categories, own, self.device, self.fast)
         solver = Solver(chosen, every, known, self.compare, self.to_surface)
         reader = replace(reader, find=solver.find)
         if self.together:
@@ -308,11 +308,12 @@ class _Read:
         return cls(file, name, observation, time.perf_counter() - began)
 
 
-def _all_categories(own: omad.Estimator | None, device: str) -> list[AnyEstimator]:
+def _all_categories(own: omad.Estimator | None, device: str, fast: bool) -> list[AnyEstimator]:
     """One's own, and those of all other categories with shipped weights."""
     found: list[AnyEstimator] = [own] if own else []
     taken = {estimator.category.name for estimator in found}
-    return found + [other for other in shipped_estimators(device) if other.category.name not in taken]
+    others = shipped_estimators(device, omad.EstimatorConfig.fast() if fast else None)
+    return found + [other for other in others if other.category.name not in taken]
 
 
 def _folder_names(files: Sequence[Path]) -> list[str]:

@@ -100,11 +100,14 @@ class EvalPose(CategoryCommand):
             raise InputError("--output: is missing; give a folder or an address for --cluster")
         if self.method != "least_squares" or self.pictures is not None:
             raise InputError("--method, --pictures: do not go with --cluster; leave them out")
+        if self.data.broken == "skip":
+            raise InputError("--broken skip: does not go with --cluster, whose shards count all images; leave one out")
         workers, category, data = check_workers(self.workers), self.estimator().category, self.data
         source = data.load(category)
         drawn = (everywhere(data.source), data.objects, data.views, data.seed, data.depth_noise, data.broken)
-        work = PoseWork(everywhere(self.weights) or self.category, self.device, self.fast, *drawn)
-        made_of = {**asdict(work), "weights": str(work.weights), "version": omad.__version__}
+        weights = everywhere(self.weights) or self.category
+        work = PoseWork(weights, self.device, self.fast, self.to_surface, *drawn)
+        made_of = {**asdict(work), "weights": weights_identity(find_weights(weights)), "version": omad.__version__}
         done = self.scale.run(work, source.total, self.output, made_of, workers, self.device)
         answer = summary([*from_rows(done.plan.rows())], category, data.source)
         answer |= {"depth_noise": source.noisy, "refused": source.refused, "run": done.to_dict()}

@@ -16,7 +16,18 @@ from omad.common.lazy import lazy_imports
 from omad.sensing.input_options import InputOptions
 
 from .answer import Answer, table
-from .options import BrokenFiles, CategoryCommand, Device, Json, Seed, Weights, check_positive, everywhere, load_prior
+from .options import (
+    NAMES,
+    BrokenFiles,
+    CategoryCommand,
+    Device,
+    Json,
+    Seed,
+    Weights,
+    check_positive,
+    everywhere,
+    load_prior,
+)
 
 with lazy_imports():
     from omad.applications.retrieval import catalogue
@@ -51,8 +62,9 @@ class IndexBuild(CategoryCommand):
     objects: int = 50
     """Procedural objects (those that no training has seen)."""
     metric: Literal["keypoints", "beta", "whitened"] = "keypoints"
-    """How shapes are compared. keypoints: mean distance between canonical keypoints, in metres; beta: plain Euclidean
-    distance of the shape parameters, as in the paper; whitened: in standard deviations of them."""
+    """How shapes are compared. keypoints: root of the mean squared distance between canonical keypoints, in metres;
+    beta: plain Euclidean distance of the shape parameters, as in the paper; whitened: in standard deviations of
+    them."""
     fuse: bool = True
     """One entry an object, from all of its views together; --no-fuse: an entry a view."""
     backend: Literal["exact", "faiss", "disk"] = "exact"
@@ -81,7 +93,8 @@ class IndexBuild(CategoryCommand):
 
     def _on_disk(self, estimator: omad.Estimator, space: Space) -> Answer:
         index, refused = LargeIndex.create(self.output, space), list[dict[str, str]]()
-        source = f"{self.source} {self.seed}" if self.source == "procedural" else everywhere(self.source)
+        made = self.source in NAMES or not Path(self.source).is_dir()  # by a generator
+        source = f"{everywhere(self.source)} {self.seed}" if made else everywhere(self.source)
         index.add(self._portions(estimator, index.taken(source), refused), source)
         if not len(index):
             raise InputError(f"{self.source}: none of its {len(refused)} inputs can be used; see omad estimate")
@@ -157,6 +170,8 @@ class IndexMerge:
         if not self.indices:
             raise InputError("no catalogue to merge; give at least one")
         into: LargeIndex | None = None
+        if itself := [path for path in self.indices if path.resolve() == self.output.resolve()]:
+            raise InputError(f"{itself[0]}: is the catalogue to merge into; leave it out, what is in it stays")
         for path in self.indices:
             index = open_index(path)
             into = into or LargeIndex.create(self.output, index.space)

@@ -28,6 +28,7 @@ from .explore import Explore
 from .figures import FigureKeypoints, FigureOcclusion, FigureQualitative, FigureSweep, FigureTsne
 from .index import IndexBuild, IndexMerge, IndexQuery
 from .models import Generate, Import, Render
+from .options import check_seed
 from .paper import EvalAblation, EvalTable1, EvalTable2
 from .scale.bulk import Bulk
 from .scale.serve import Serve
@@ -118,7 +119,7 @@ def run(arguments: list[str]) -> int:
         return 0
     try:
         command = parse(arguments)
-        check_paths(command)
+        check_options(command)
         answer = command.run()
     except (InputError, WorkError) as error:
         print(f"omad: {one_line(error)}", file=sys.stderr)
@@ -136,13 +137,15 @@ def run(arguments: list[str]) -> int:
     return answer.code
 
 
-def check_paths(options: Any) -> None:
-    """Raises InputError for what no file can be called, among the options of a command."""
+def check_options(options: Any) -> None:
+    """Raises InputError for what no file can be called, and for a seed that is none, among a command's options."""
     for field in fields(options):
         value = getattr(options, field.name)
+        if field.name == "seed":
+            check_seed(value)
         for path in value if isinstance(value, tuple) else (value,):
             if is_dataclass(path):
-                check_paths(path)
+                check_options(path)
             elif isinstance(path, Path):
                 try:
                     path.exists()

@@ -28,6 +28,7 @@ with lazy_imports():
     from omad.data.source import ModelSource, ViewSource, load_models, load_views
     from omad.evaluation.paper.predictions import data_identity
     from omad.model import checkpoint
+    from omad.model.omadnet import OmadNet
     from omad.model.priornet import PriorNet
     from omad.objects.category import Category
     from omad.objects.category_file import is_spec_file, read_spec
@@ -182,6 +183,8 @@ def checkpoints(weights: Path | None, names: Sequence[str] = ()) -> list[Path]:
     is itself a checkpoint stands alone. Raises InputError where there is none."""
     folder = weights or checkpoint.WEIGHTS
     if checkpoint.is_checkpoint(folder):
+        if names and [*names] != [own := checkpoint.category_of(OmadNet, folder).name]:
+            raise InputError(f"--weights {folder}: is for {own}, not for {', '.join(names)}; change it or --categories")
         return [folder]
     names = names or sorted(path.parent.name for path in folder.glob("*/config.json"))
     if not names:

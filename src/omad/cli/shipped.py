@@ -25,10 +25,11 @@ with lazy_imports():
     from omad.estimation.confidence import model as confidences
     from omad.estimation.confidence.model import Confidence
     from omad.evaluation.demo import run_demo
-    from omad.model.checkpoint import find_weights, load, save, shipped_categories
+    from omad.model.checkpoint import find_weights, is_checkpoint, load, save, shipped_categories
     from omad.model.omadnet import OmadNet
+    from omad.model.priornet import PriorNet
     from omad.model.storage.fetched import write_manifest
-    from omad.model.surfaces.bank import bank_beside
+    from omad.model.surfaces import bank
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,8 +74,8 @@ def demo_text(answer: dict[str, Any]) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class Export:
-    """Write a checkpoint folder that is complete alone (network, prior, category, surfaces), for other programs, and to
-    be fetched from where it is put: --weights and Estimator.from_pretrained take its address."""
+    """Write a checkpoint folder that is complete alone (network, prior, category, confidence, surfaces), for other
+    programs, and to be fetched from where it is put: --weights and Estimator.from_pretrained take its address."""
 
     category: CategoryName
     output: Path
@@ -95,20 +96,25 @@ class Export:
         plain = {name: tensor.detach().numpy() for name, tensor in arrays.items()}
         write_atomic(self.output / "prior.npz", lambda path: savez(path, allow_pickle=False, **plain))
         files = ["config.json", "model.safetensors", "prior.npz"]
+        if is_checkpoint(source / "prior"):
+            save(load(PriorNet, source / "prior"), self.output / "prior", {"exported_from": source.name})
+            files += ["prior/config.json", "prior/model.safetensors"]
+        for optional in (confidences.FILE, bank.FILE):  # of another checkpoint
+            (self.output / optional).unlink(missing_ok=True)
         if confidence := Confidence.load(source, net.category):
             confidence.save(self.output)
             files.append(confidences.FILE)
-        if (bank := bank_beside(source)) is not None:
-            write_atomic(self.output / bank.name, lambda path: path.write_bytes(bank.read_bytes()))
-            files.append(bank.name)
+        if (beside := bank.bank_beside(source)) is not None:
+            write_atomic(self.output / bank.FILE, lambda path: path.write_bytes(beside.read_bytes()))
+            files.append(bank.FILE)
         write_manifest(self.output)
         return Answer({"folder": str(self.output), "files": [*files, "manifest.json"]})
 
 
 @dataclass(frozen=True, kw_only=True)
 class Deploy:
-    """Write an estimator as a program of its own, for machines without PyTorch: two ONNX graphs, a table of numbers,
-    and one Python file that needs NumPy and ONNX Runtime alone. A minute or two; needs omad[deploy]."""
+    """Write an estimator as a program of its own, for machines without PyTorch: ONNX graphs, a table of numbers,
+    and Python files that need NumPy and ONNX Runtime alone. A minute or two; needs omad[deploy]."""
 
     category: CategoryName
     output: Path

@@ -25,6 +25,7 @@ class PoseWork:
     weights: str | Path
     device: str
     fast: bool
+    to_surface: bool
     source: str
     objects: int
     views: int
@@ -38,7 +39,7 @@ class PoseWork:
         drawn = (self.objects, self.views, self.seed, self.noise)
         source = load_views(self.source, estimator.category, *drawn, self.broken, start)
         some = batched(islice(source.views, stop - start), BATCH)
-        return [_row(result.measured) for views in some for result in measure(estimator, views)]
+        return [_row(result.measured) for views in some for result in measure(estimator, views, self.to_surface)]
 
     def schema(self) -> Any:
         """pyarrow.Schema of the rows."""

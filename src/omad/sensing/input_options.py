@@ -18,8 +18,9 @@ class InputOptions:
     mask_id: int | None = None
     """The object's number in a --mask that is a label image."""
     box: str | None = None
-    """x1,y1,x2,y2 in pixels around the object, half-open; in every image. What of it is the object is found as without
-    a mask: table, floor and walls are taken away, and of the things left the one most like the category is taken."""
+    """x1,y1,x2,y2 in pixels around the object, half-open; in every image. omad estimate and omad track find in it what
+    the object is: table, floor and walls are taken away, and of the things left the one most like the category is
+    taken. To all others all that lies in it is the object, but for what --segment takes away."""
     segment: Literal["plane"] | None = None
     """plane: take away the dominant plane and keep the largest thing on it (tens of milliseconds an image)."""
     depth_scale: float | None = None

@@ -40,6 +40,8 @@ def deploy(estimator: Estimator, folder: Path) -> list[str]:
     if estimator.hand and net.category.name in hands.names:
         hand_graph(hands, net.category.name).save(folder / HAND)
         graphs.append(HAND)
+    else:
+        (folder / HAND).unlink(missing_ok=True)  # of another deployment: the program takes what is there
     source = Path(program.__file__).read_text(encoding="utf-8")
     for name, module in BESIDE.items():
         source = source.replace(f"from {module.__name__} import", f"from {name} import")

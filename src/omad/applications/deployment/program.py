@@ -302,9 +302,7 @@ class Program:
             keypoint_std=unit / np.sqrt(look.weights),
             residual=fit.residual * unit,
             converged=bool(fit.converged),
-            hand=float(told[: len(hand) - 1] @ hand[:-1] + hand[-1])
-            if len(hand)
-            else -float(np.log(look.expected_error)),
+            hand=_odds(hand, told) if len(hand) else -float(np.log(look.expected_error)),
         )
 
     def _front(self, points: np.ndarray, keypoints: np.ndarray, place: np.ndarray) -> float:
@@ -366,13 +364,13 @@ def main() -> int:
     parser.add_argument("--intrinsics", help="fx,fy,cx,cy of a depth image, pixels")
     parser.add_argument("--mask", help=".npy: (H, W), not zero on the object")
     options = parser.parse_args()
-    points = np.load(options.input, allow_pickle=False)
-    if options.intrinsics:
-        mask = np.load(options.mask, allow_pickle=False) if options.mask else None
-        points = back_projected(points, [float(number) for number in options.intrinsics.split(",")], mask)
     try:
+        points = np.load(options.input, allow_pickle=False)
+        if options.intrinsics:
+            mask = np.load(options.mask, allow_pickle=False) if options.mask else None
+            points = back_projected(points, [float(number) for number in options.intrinsics.split(",")], mask)
         answer = asdict((program := Program())(points))
-    except ValueError as error:
+    except (OSError, ValueError) as error:
         print(error, file=sys.stderr)
         return 2
     record = {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in answer.items()}

@@ -16,6 +16,7 @@ import numpy as np
 from omad.common.batches import progress
 from omad.common.errors import InputError, NothingSeen, WorkError
 from omad.common.files import one_line, publish, unfinished, write_atomic, write_json, writing
+from omad.estimation.estimate import plain
 from omad.estimation.world import in_world, known_gravity
 from omad.objects.category import Category
 from omad.output.formats import save_formats
@@ -115,7 +116,7 @@ class TrackedSequence:
         self._write({"frame": frame.path.name, "time": frame.time, "status": "refused", "reason": reason})
 
     def _write(self, answer: dict[str, Any]) -> None:
-        text = json.dumps(answer)
+        text = json.dumps(plain(answer), allow_nan=False)
         if self.lines is None:
             with writing(self.output / FRAMES):  # under another name until all lines are there
                 temporary = self.ending.enter_context(unfinished(self.output / FRAMES))

@@ -26,6 +26,8 @@ with lazy_imports():
     from omad.applications.bulk.stream import Frame, estimate_stream
     from omad.applications.cluster.bulk import BulkWork
     from omad.common.batches import progress
+    from omad.evaluation.paper.predictions import weights_identity
+    from omad.model.checkpoint import find_weights
 
 T = TypeVar("T", InputOptions, FrameOptions)
 TOLD = 10
@@ -90,21 +92,10 @@ class Bulk(CategoryCommand):
         """What rows depend on, as JSON gives it back."""
         options = {**asdict(self.reading), **asdict(self.frame)}
         told = {name: value if value is None else str(value) for name, value in options.items()}
-        weights = None if self.weights is None else str(self.weights)
-        own = {
-            "category": self.category,
-            "weights": weights,
-            "fast": self.fast,
-            "batch": self.batch,
-            "version": omad.__version__,
-        }
-        return {
-            "inputs": [str(path) for path in self.inputs],
-            "total": source.total,
-            "version": omad.__version__,
-            **own,
-            **told,
-        }
+        weights = weights_identity(find_weights(self.weights or self.category))
+        own = {"category": self.category, "weights": weights, "fast": self.fast, "batch": self.batch}
+        inputs = {"inputs": [str(everywhere(path)) for path in self.inputs], "total": source.total}
+        return {**inputs, "version": omad.__version__, **own, **told}
 
 
 def _rest(source: Source, results: Results) -> Iterator[Frame]:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 from omad.common.lazy import lazy_imports
 
-from ..options import Seed, check_positive, check_seed, use_threads
+from ..options import Seed, check_positive, use_threads
 
 with lazy_imports():
     from omad.training.loop import Schedule
@@ -34,7 +34,6 @@ class ScheduleOptions:
         """The ``preset``, but for what is asked for; PyTorch takes its threads from here on. Raises InputError."""
         asked = {"steps": self.steps, "batch": self.batch, "learning_rate": self.learning_rate}
         check_positive(max_minutes=self.max_minutes, save_seconds=self.save_seconds, **asked)
-        check_seed(self.seed)
         use_threads(self.threads)
         given = {name: value for name, value in asked.items() if value is not None}
         return replace(preset, seed=self.seed, max_minutes=self.max_minutes, save_seconds=self.save_seconds, **given)

@@ -2,12 +2,15 @@
 
 import runpy
 import traceback
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from omad.common.errors import InputError
 from omad.common.incoming import existing
+from omad.geometry.mesh import Mesh
 from omad.geometry.rigid import box
 from omad.objects.category import Category
 from omad.objects.model import diagonal, odd_size
@@ -47,18 +50,29 @@ def own_generator(path: Path | str) -> Generator:
 def _fitting(path: Path, made: object, category: Category) -> JointedParts:
     if not isinstance(made, JointedParts):
         raise InputError(f"{path}: generate gives a {type(made).__name__}; return JointedParts")
-    parts, joints = len(category.parts), len(category.joints)
+    if not all(isinstance(part, Mesh) for part in made.parts):
+        raise InputError(f"{path}: generate gives parts that are no Mesh; repair it")
+    made = replace(made, pivots=_array(made.pivots), axes=_array(made.axes), limits=_array(made.limits))
+    joints = len(category.joints)
     for field, found, wanted in (
-        ("parts", len(made.parts), parts),
-        ("pivots", np.shape(made.pivots), (joints, 3)),
-        ("axes", None if made.axes is None else np.shape(made.axes), (joints, 3)),
-        ("limits", None if made.limits is None else np.shape(made.limits), (joints, 2)),
+        ("parts", len(made.parts), len(category.parts)),
+        ("pivots", made.pivots.shape, (joints, 3)),
+        ("axes", None if made.axes is None else made.axes.shape, (joints, 3)),
+        ("limits", None if made.limits is None else made.limits.shape, (joints, 2)),
     ):
         if found not in (None, wanted):
             raise InputError(f"{path}: generate gives {field} of {found}, a {category.name} has {wanted}; repair it")
     if fault := _fault(made, category):
         raise InputError(f"{path}: generate gives {fault}")
-    return made
+    return made if made.axes is None else replace(made, axes=made.axes / np.linalg.norm(made.axes, axis=1)[:, None])
+
+
+def _array(values: Any) -> Any:
+    """Of doubles, where there are any; no numbers are NaN."""
+    try:
+        return None if values is None else np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        return np.array(np.nan)
 
 
 def _fault(made: JointedParts, category: Category) -> str | None:

@@ -16,6 +16,7 @@ With clutter the views are of scenes as cameras see them (``spoils``); what is w
 Every file depends on the arguments alone: not on the number of processes, nor on interruptions.
 """
 
+import json
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, fields
 from functools import partial
@@ -208,9 +209,11 @@ def render_to_folder(
     camera = _camera_record(STANDARD_CAMERA)
     record = {"format": FORMAT, "category": category.name, "camera": camera, "depth_scale": scale, "seed": seed}
     record |= {"noise": asdict(noise) if noise else None, "objects": names}
+    record["viewpoints"] = json.loads(json.dumps(asdict(category.views)))
     truths = {path / model.name / "object.json": _truth_record(model) for model in models[:views]}
     if dataset.exists():  # views of other settings or other models are not mixed
-        refuse_others(path, {"clutter": False, **_read_json(dataset)}, record | {"clutter": clutter})
+        usual = {"clutter": False, "viewpoints": record["viewpoints"]}
+        refuse_others(path, {**usual, **_read_json(dataset)}, record | {"clutter": clutter})
         for file, truth in truths.items():
             if file.exists() and _read_json(file) != truth:
                 raise InputError(f"{path}: already holds another object {truth['name']}; choose another folder")

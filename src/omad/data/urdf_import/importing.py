@@ -75,13 +75,14 @@ def import_folder(
         raise InputError(f"{output}: would be written into the models it comes from; choose another folder")
     options = {"source": str(source.resolve()), "category": asdict(category), "scale": scale}
     options = json.loads(json.dumps({**options, "missing_meshes": missing_meshes}))
+    meshes = "" if mesh_folder is None else f" {_stamp(mesh_folder)}"
 
     def importing(path: Path) -> ImportedModel:
         return import_with_notes(path, category, scale, missing_meshes, mesh_folder)
 
     make_folder(output)
     with only_one(output, "an import"):
-        return _import_all(paths, category, output, _Record.open(output, options), importing)
+        return _import_all(paths, category, output, _Record.open(output, options), importing, meshes)
 
 
 def _import_all(
@@ -90,13 +91,15 @@ def _import_all(
     output: Path,
     record: "_Record",
     importing: Callable[[Path], ImportedModel],
+    meshes: str,
 ) -> ImportSummary:
+    """``meshes``: what changes where files do that lie in no model's folder."""
     for name in set(record.stamps) - {object_name(path) for path in paths}:
         record.drop(name)
     refused, notes, models = [], [], []
     for path in tqdm(paths, unit="model", file=sys.stderr, disable=not sys.stderr.isatty()):
         name = object_name(path)
-        file, stamp = output / name / f"{name}.urdf", _stamp(path)
+        file, stamp = output / name / f"{name}.urdf", _stamp(path) + meshes
         try:
             _check_plain(name, f"{path}: an object's name")
             if record.stamps.get(name) != stamp or not file.is_file():

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from math import perm, prod
 
 import numpy as np
 import torch
@@ -18,6 +19,9 @@ from .equivalent import rehung, with_screws
 
 COMPARABLE = 0.6
 """Links whose boxes' diagonals are at least in this ratio cannot be told apart by size."""
+
+MOST_WAYS = 50_000
+"""To choose links for the joints: a keyboard is no chest of drawers."""
 
 
 @dataclass(frozen=True)
@@ -37,6 +41,8 @@ def label_parts(raw: RawArticulation, category: Category) -> list[RawArticulatio
     Other links are folded into the part that carries them, in the state nearest to zero that their joint allows. Raises
     InputError, without the file's name, where links and joints do not fit the category."""
     raw = with_screws(raw, category)
+    if (ways := prod(perm(_joints(raw, kind), _wanted(category, kind)) for kind in JOINT_TYPES)) > MOST_WAYS:
+        raise InputError(f"its joints fit a {category.name} in {ways} ways; leave out those that are of none")
     roots = [0] + [link for link in range(1, len(raw.links)) if _named(raw.links[link], category, 0)]
     hung = [raw.rerooted(root) for root in roots]
     found = [assignment for each in hung for assignment in _assignments(each, category)]
@@ -99,10 +105,18 @@ def _comparable(a: _Assignment, b: _Assignment) -> bool:
     return differing(a, b) >= COMPARABLE * differing(b, a)
 
 
+def _joints(raw: RawArticulation, kind: str) -> int:
+    """Of a kind, with a mesh."""
+    return sum(joint.type == kind and len(raw.links[joint.child].mesh.faces) > 0 for joint in raw.joints)
+
+
+def _wanted(category: Category, kind: str) -> int:
+    return sum(joint.type == kind for joint in category.joints)
+
+
 def _why_none(raw: RawArticulation, category: Category) -> str:
     for kind in JOINT_TYPES:
-        wanted = sum(joint.type == kind for joint in category.joints)
-        count = sum(joint.type == kind and len(raw.links[joint.child].mesh.faces) > 0 for joint in raw.joints)
+        count, wanted = _joints(raw, kind), _wanted(category, kind)
         if count < wanted:
             return f"has {count} {kind} joint(s) with a mesh, a {category.name} has {wanted}"
     return f"its joints do not form the tree of a {category.name}"

@@ -13,7 +13,7 @@ from omad.objects.category import Category
 from omad.sensing.observation import Observation
 
 from ..estimate import Estimate
-from ..estimator import Estimator
+from ..estimator import Estimator, EstimatorConfig
 from ..known import NOTHING_KNOWN, Known
 
 
@@ -27,17 +27,19 @@ class LateEstimator:
     """Of its checkpoint."""
     device: str
     """Where its network runs."""
+    config: EstimatorConfig | None = None
+    """How it looks."""
 
     @classmethod
-    def of(cls, weights: str | Path, device: str = "cpu") -> Self:
+    def of(cls, weights: str | Path, device: str = "cpu", config: EstimatorConfig | None = None) -> Self:
         """That of a category with shipped weights, or of a checkpoint folder. Raises InputError."""
         folder = find_weights(weights)
-        return cls(category_of(OmadNet, folder), folder, device)
+        return cls(category_of(OmadNet, folder), folder, device, config)
 
     @cached_property
     def loaded(self) -> Estimator:
         """The estimator itself."""
-        return Estimator.from_pretrained(self.folder, self.device)
+        return Estimator.from_pretrained(self.folder, self.device, self.config)
 
     @cached_property
     def prior(self) -> OmadPrior:
@@ -63,6 +65,6 @@ class LateEstimator:
 AnyEstimator: TypeAlias = Estimator | LateEstimator
 
 
-def shipped_estimators(device: str = "cpu") -> list[LateEstimator]:
+def shipped_estimators(device: str = "cpu", config: EstimatorConfig | None = None) -> list[LateEstimator]:
     """Those of all categories with shipped weights."""
-    return [LateEstimator.of(name, device) for name in shipped_categories()]
+    return [LateEstimator.of(name, device, config) for name in shipped_categories()]

@@ -69,10 +69,10 @@ def this_machine() -> str:
 
 
 def weights_identity(folder: Path) -> str:
-    """Tells one checkpoint from another."""
+    """Tells one checkpoint from another, and what it says of confidence and surfaces."""
     digest = hashlib.sha256()
-    for name in ("config.json", "model.safetensors"):
-        digest.update((folder / name).read_bytes())
+    for name in ("config.json", "model.safetensors", "confidence.json", "surfaces.npz"):
+        digest.update((folder / name).read_bytes() if (folder / name).is_file() else b"")
     return digest.hexdigest()[:16]
 
 
