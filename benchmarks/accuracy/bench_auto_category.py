@@ -1,6 +1,6 @@
 """How often ``--category auto`` finds the category of unseen objects, or that they are of none, and what that costs.
 
-    OMP_NUM_THREADS=1 python benchmarks/accuracy/bench_auto_category.py [--models FOLDER] [--views 20]
+    OMP_NUM_THREADS=1 python benchmarks/accuracy/bench_auto_category.py [--models FOLDER] [--views 20] [--points 1000]
     OMP_NUM_THREADS=1 python benchmarks/accuracy/bench_auto_category.py --what look --picture docs/figures/proposals.png
     OMP_NUM_THREADS=1 python benchmarks/accuracy/bench_auto_category.py --what fit
     OMP_NUM_THREADS=1 python benchmarks/accuracy/bench_auto_category.py --what time
@@ -76,6 +76,8 @@ class Config:
     views: int = 20
     """A category and source."""
     noise: str = "on"
+    points: int | None = None
+    """Of each view that are left, at random; default: all, some ten thousand."""
     picture: Path | None = None
     """Where the confusion is drawn."""
     seed: int = 0
@@ -98,6 +100,9 @@ def views_of(config: Config, name: str, source: str = "procedural") -> list[Obse
         category, model = models[index % len(models)]
         view = standard_view(model, category, (config.seed, 77, index), LEVELS[config.noise])
         observation = Observation.from_depth(view.depth, view.camera)
+        if config.points is not None:
+            order = np.random.default_rng((config.seed, index)).permutation(len(observation.points))
+            observation = Observation.from_points(observation.points[order[: config.points]])
         seen.append(observation.mirrored() if category.either_hand and index % 2 else observation)
     return seen
 

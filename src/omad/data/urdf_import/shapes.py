@@ -118,7 +118,8 @@ def _load_mesh(file: Path) -> Mesh:
     suffix = file.suffix.lower()
     if suffix not in MESH_FORMATS:
         raise InputError(f"{file}: unknown mesh format {suffix!r}; known ones are {', '.join(MESH_FORMATS)}")
-    with readable(file, "a mesh"):
+    cure = "give a .glb, which has all in one file" if suffix == ".gltf" else "export it again"
+    with readable(file, "a mesh", cure):
         check_file(file)
         if suffix == ".obj":
             check_limit("data_bytes", file.stat().st_size, f"{file}: the file")
