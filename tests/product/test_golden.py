@@ -117,7 +117,8 @@ def test_keypoints_correspond_between_unseen_objects(name):
     assert spread.mean_wander < 0.05
     # since there are chests of trays, chests differ in more ways than beta has numbers
     assert spread.model_error < (0.035 if name == "drawer" else 0.03)
-    assert spread.pivot_error < 0.07
+    assert (spread.pivot_error is None) == (not any(net.category.turning))
+    assert spread.pivot_error is None or spread.pivot_error < 0.07
 
 
 @pytest.mark.slow

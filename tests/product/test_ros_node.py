@@ -92,6 +92,9 @@ def test_perception_follows_messages(store, with_mask):
     depth.header.stamp.nanosec = 300_000_000
     depth.data = np.zeros_like(depth.data)
     assert perception(depth, info).warnings  # not seen: predicted
+    depth, info, mask = inputs(store, 2)  # the recording begins anew
+    assert not perception.is_late(depth)
+    assert abs(perception(depth, info, mask).joint_states[0] - laptop_view().states[0]) < 0.1
 
 
 @pytest.fixture
@@ -142,6 +145,8 @@ def test_the_node_answers_each_image(store, published, monkeypatch):
     running = node.OmadNode()
     running.answer(*inputs(store)[:2])
     assert [topic for topic, _ in published] == ["joint_states", "tf", "markers"]
+    running.answer(*inputs(store)[:2])  # an image that is late says nothing of the object
+    assert len(published) == 3
     depth, info, _ = inputs(store, 6)
     info.width = 320
     running.answer(depth, info)

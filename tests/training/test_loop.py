@@ -63,6 +63,19 @@ def test_a_killed_training_goes_on_exactly(tmp_path):
     assert steps == [10, 20, 30, 40]
 
 
+def test_what_drops_out_is_the_same_after_a_kill(tmp_path):
+    def dropped(model, generator, stop_at=None, counter=None):
+        kept = nn.functional.dropout(model.layer.weight, 0.5)
+        return {"fit": (kept - 1).square().mean(), **terms(model, generator, stop_at, counter)}
+
+    whole, often = train(fresh(), dropped, SCHEDULE, tmp_path / "whole", {}), replace(SCHEDULE, save_seconds=0.0)
+    count = []
+    with pytest.raises(KeyboardInterrupt):
+        train(fresh(), lambda m, g: dropped(m, g, 25, count), often, tmp_path / "killed", {})
+    resumed = train(fresh(), dropped, often, tmp_path / "killed", {})
+    assert torch.equal(resumed.layer.weight, whole.layer.weight)
+
+
 def test_a_state_of_other_settings_or_a_broken_one_is_refused(tmp_path):
     train(fresh(), terms, SCHEDULE, tmp_path, {})
     with pytest.raises(InputError, match=re.escape(str(tmp_path))):

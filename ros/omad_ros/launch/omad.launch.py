@@ -7,13 +7,13 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
 TOPICS = {"depth": "/camera/depth/image_rect_raw", "info": "/camera/depth/camera_info", "mask": "/mask"}
+PARAMETERS = {"category": "laptop", "use_mask": "false", "track": "true"}
 
 
 def generate_launch_description() -> LaunchDescription:
     told = [DeclareLaunchArgument(name, default_value=topic) for name, topic in TOPICS.items()]
-    told += [DeclareLaunchArgument("category", default_value="laptop")]
-    told += [DeclareLaunchArgument("use_mask", default_value="false")]
-    parameters = {name: LaunchConfiguration(name) for name in ("category", "use_mask")}
+    told += [DeclareLaunchArgument(name, default_value=value) for name, value in PARAMETERS.items()]
+    parameters = {name: LaunchConfiguration(name) for name in PARAMETERS}
     remappings = [(name, LaunchConfiguration(name)) for name in TOPICS]
     node = Node(package="omad_ros", executable="omad_node", parameters=[parameters], remappings=remappings)
     return LaunchDescription([*told, node])

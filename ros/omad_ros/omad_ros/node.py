@@ -5,6 +5,7 @@ image) and with ``use_mask`` ``mask`` (sensor_msgs/Image, not zero on the object
 (sensor_msgs/JointState), ``markers`` (visualization_msgs/MarkerArray) and transforms from the camera to the links.
 """
 
+import sys
 from typing import Any
 
 import rclpy
@@ -56,6 +57,8 @@ class OmadNode(Node):
 
     def answer(self, depth: Any, info: Any, mask: Any = None) -> None:
         """Publish what is seen; of an object that is not, that it is gone."""
+        if self.perception.is_late(depth):
+            return
         try:
             estimate = self.perception(depth, info, mask)
         except InputError as error:
@@ -73,13 +76,17 @@ class OmadNode(Node):
 def main() -> None:
     """Run until it is interrupted."""
     rclpy.init()
-    node = OmadNode()
     try:
-        rclpy.spin(node)
+        node = OmadNode()
+        try:
+            rclpy.spin(node)
+        finally:
+            node.destroy_node()
     except KeyboardInterrupt:
         pass
+    except InputError as error:  # of its parameters
+        sys.exit(f"omad: {error}")
     finally:
-        node.destroy_node()
         rclpy.try_shutdown()
 
 

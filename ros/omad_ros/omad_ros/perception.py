@@ -11,6 +11,8 @@ from omad.estimation.estimator import Estimator
 from omad.sensing.observation import Observation
 
 NANOSECONDS = 1e-9
+BACK = 1.0
+"""Seconds by which time has to go back for a recording or a simulation to have begun anew."""
 
 
 class Perception:
@@ -19,15 +21,26 @@ class Perception:
     def __init__(self, estimator: Estimator, track: bool = True) -> None:
         self.estimator = estimator
         self._find = ObjectFinder(Detector([estimator]))
-        self._tracker = Tracker(estimator) if track else None
+        self._track = track
+        self._begin()
+
+    def _begin(self) -> None:
+        self._tracker = Tracker(self.estimator) if self._track else None
         self._last = -1.0
+
+    def is_late(self, depth: Any) -> bool:
+        """Whether an image is no newer than the last: there is nothing to say of it."""
+        return self._last - BACK < _taken(depth) <= self._last
 
     def __call__(self, depth: Any, info: Any, mask: Any = None) -> Estimate | None:
         """Of sensor_msgs Image or CompressedImage, CameraInfo and Image; None where the object is not seen, or not
-        followed, or the image is older than the last one. Raises InputError for messages that are wrong."""
-        time = depth.header.stamp.sec + depth.header.stamp.nanosec * NANOSECONDS
-        if time <= self._last:
+        followed, or the image is late. Where time has gone back, all begins anew. Raises InputError for messages that
+        are wrong."""
+        if self.is_late(depth):
             return None
+        time = _taken(depth)
+        if time <= self._last:
+            self._begin()
         self._last = time
         try:
             seen = Observation.from_depth(depth, info, mask)
@@ -37,3 +50,8 @@ class Perception:
         if self._tracker is not None:
             return self._tracker(seen, time).estimate
         return None if seen is None else self.estimator(seen)
+
+
+def _taken(image: Any) -> float:
+    """Seconds."""
+    return image.header.stamp.sec + image.header.stamp.nanosec * NANOSECONDS

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import torch
 
 from omad.data.surface_bank import SurfaceBank
+from omad.geometry.transforms import point_to_line
 from omad.model.object_prior import object_keypoints
 from omad.model.priornet import PriorNet
 from omad.objects.model import ObjectModel
@@ -22,8 +23,8 @@ class KeypointSpread:
     mean_wander: float
     model_error: float
     """Mean distance between the nodes found on an object and the nearest keypoints that the basis can make."""
-    pivot_error: float
-    """Mean distance of the joint function's pivots from the true axes (of joints that turn)."""
+    pivot_error: float | None
+    """Mean distance of the joint function's pivots from the true axes, of joints that turn; None where none does."""
 
 
 @torch.no_grad()
@@ -37,12 +38,12 @@ def keypoint_spread(net: PriorNet, models: Sequence[ObjectModel]) -> KeypointSpr
     low, high = boxes[:, net.part_of, 0], boxes[:, net.part_of, 1]
     place = (keypoints - low) / (high - low)
     wander = ((place - place.mean(0)) * (high - low)).norm(dim=-1).mean(0)
-    off = torch.linalg.cross(joints.pivots - bank.pivots, bank.axes, dim=-1).norm(dim=-1)[:, net.prior.turning]
+    off = point_to_line(joints.pivots, bank.axes, bank.pivots)[:, net.prior.turning]
     return KeypointSpread(
         category=net.category.name,
         objects=len(models),
         wander=wander.tolist(),
         mean_wander=float(wander.mean()),
         model_error=float((keypoints - nodes).norm(dim=-1).mean()),
-        pivot_error=float(off.mean()) if off.numel() else 0.0,
+        pivot_error=float(off.mean()) if off.numel() else None,
     )

@@ -73,7 +73,7 @@ def _errors(estimate: ObjectPose, truth: ObjectPose, part_boxes: np.ndarray, cat
         "translation": apart.diagonal(),
     }
     worst = vars(missing_errors(category))
-    missing = any((np.isnan(values) & ~np.isnan(worst[name])).any() for name, values in errors.items())
+    missing = any((~np.isfinite(values) & ~np.isnan(worst[name])).any() for name, values in errors.items())
     counted = {name: np.where(np.isfinite(values), values, worst[name]) for name, values in errors.items()}
     swapped = any(apart[k, p.mirror] < apart[k, k] for k, p in enumerate(category.parts) if p.mirror is not None)
     return PoseErrors(**counted, swapped=swapped, missing=missing)

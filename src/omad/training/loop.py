@@ -149,6 +149,8 @@ def _train(
             for name, part in learned.items():
                 part.load_state_dict(state[name])
             step, seconds = int(state["step"]), float(state["seconds"])
+            if "dropout" in state:  # a state of an earlier version has none
+                _set_dropout_state(state["dropout"], device)
             generators = [state["generator"], *state.get("generators", [])]
             if processes.rank < len(generators):
                 generator.set_state(generators[processes.rank].cpu().clone())  # a part of another tensor would crash it
@@ -161,6 +163,7 @@ def _train(
             return
         state = {name: part.state_dict() for name, part in learned.items()}
         state |= {"identity": identity, "generator": first, "generators": others, "step": step, "seconds": seconds}
+        state["dropout"] = _dropout_state(device)
         kept = io.BytesIO()  # a full disk is an OSError when bytes are written, and anything when torch writes
         torch.save(state, kept)
         write_atomic(state_path, lambda path: path.write_bytes(kept.getbuffer()))
@@ -294,6 +297,18 @@ def _identity(config: dict[str, Any], schedule: Schedule) -> str:
         return value
 
     return json.dumps(plain({**config, "schedule": asdict(schedule)}), sort_keys=True, default=str)
+
+
+def _dropout_state(device: torch.device) -> Tensor:
+    """Of the generator that dropout draws from."""
+    return torch.cuda.get_rng_state(device) if device.type == "cuda" else torch.get_rng_state()
+
+
+def _set_dropout_state(state: Tensor, device: torch.device) -> None:
+    if device.type == "cuda":
+        torch.cuda.set_rng_state(state, device)
+    else:
+        torch.set_rng_state(state)
 
 
 def _read_state(path: Path, identity: str) -> dict[str, Any]:

@@ -37,6 +37,6 @@ class Metrics:
         for name, value in gauges.items():
             lines += [
                 f"# TYPE omad_{name} {'counter' if name.endswith('_total') else 'gauge'}",
-                f"omad_{name} {value:g}",
+                f"omad_{name} {value}",
             ]
         return "\n".join(lines) + "\n"

@@ -16,6 +16,8 @@ from omad.common.processes.signals import NAMES
 
 from ..own_address import is_loopback, is_own_name
 
+GRACE = 1.0
+"""Seconds for who answers to tell that something came too late, before its connection is closed."""
 HEAD_BYTES = 16_384
 """Of a request's first line and headers."""
 CONNECTIONS = 512
@@ -61,7 +63,7 @@ def patient(seconds: float) -> type[H11Protocol]:
             super().data_received(data)
             coming = self.conn.their_state in (h11.IDLE, h11.SEND_BODY)
             if coming and self.late is None:
-                self.late = self.loop.call_later(seconds, self.transport.close)
+                self.late = self.loop.call_later(seconds + GRACE, self.transport.close)
             elif not coming:
                 self.in_time()
 

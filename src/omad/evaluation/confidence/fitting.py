@@ -95,7 +95,7 @@ def fit(answers: Answers, category: Category, fitted_to: FittedTo) -> Confidence
     fronted, less = _right(answers, IMAGE)
     image, right = (IMAGE, fronted) if less < (1 - WORTH) * cost else (WITHOUT_FRONT, plain)
     inputs = joint_inputs(answers.signals.known_by(image))[mine]
-    errors = fit_errors(inputs.reshape(-1, inputs.shape[-1]), answers.errors[mine].ravel())
+    errors = fit_errors(inputs, answers.errors[mine])
     return Confidence(category.name, image, JOINT, errors, right, fitted_to)
 
 
@@ -111,10 +111,11 @@ def measured(confidence: Confidence, answers: Answers, category: Category) -> di
 
 
 def fit_errors(inputs: np.ndarray, errors: np.ndarray) -> Perceptron:
-    """``Confidence.errors`` from ``inputs`` (N, n) and ``errors`` (N,), none negative. Answers that it was not fitted
-    to are farther off than those that it was: by how much is told by fits without them."""
-    seen = np.log(errors + SMALLEST)
-    found, said = _cross_validated(inputs, seen, _quantile_loss, [float(np.median(seen)), 0.5])
+    """``Confidence.errors`` from ``inputs`` (N, J, n) and ``errors`` (N, J), none negative. In views that it was not
+    fitted to answers are farther off than in those that it was: by how much is told by fits without them."""
+    seen, view = np.log(errors + SMALLEST).ravel(), np.repeat(np.arange(len(errors)), errors.shape[1])
+    rows = inputs.reshape(len(seen), -1)
+    found, said = _cross_validated(rows, seen, view, _quantile_loss, [float(np.median(seen)), 0.5])
     farther = np.median(seen - said[:, 0])
     above = np.maximum(seen - said[:, 0] - farther, 0)
     with np.errstate(divide="ignore"):
@@ -128,7 +129,8 @@ def _right(answers: Answers, image: tuple[str, ...]) -> tuple[Perceptron, float]
     """``Confidence.right`` by so much of ``IMAGE``, and its mean log loss on what is left out of a fit."""
     inputs, right = image_inputs(answers.signals.known_by(image)), answers.right
     share = (right.sum() + 1) / (len(right) + 2)
-    found, said = _cross_validated(inputs, right, _log_loss, [math.log(share / (1 - share))])
+    view = np.arange(len(right))
+    found, said = _cross_validated(inputs, right, view, _log_loss, [math.log(share / (1 - share))])
     return found, float(_log_loss(torch.as_tensor(said), torch.as_tensor(right, dtype=torch.float64)))
 
 
@@ -147,11 +149,11 @@ def _log_loss(said: Tensor, right: Tensor) -> Tensor:
 
 
 def _cross_validated(
-    inputs: np.ndarray, seen: np.ndarray, loss: Loss, start: Sequence[float]
+    inputs: np.ndarray, seen: np.ndarray, view: np.ndarray, loss: Loss, start: Sequence[float]
 ) -> tuple[Perceptron, np.ndarray]:
-    """A fit to inputs (N, n) and what was ``seen`` (N,), with the decay that does best on what is left out of a fit;
-    and what fits with that decay say (N, len(start)) of what was left out of them."""
-    fold, targets = np.arange(len(seen)) % FOLDS, torch.as_tensor(seen, dtype=torch.float32)
+    """A fit to inputs (N, n) and what was ``seen`` (N,) in each ``view`` (N,), with the decay that does best on views
+    that are left out of a fit; and what fits with that decay say (N, len(start)) of those left out of them."""
+    fold, targets = view % FOLDS, torch.as_tensor(seen, dtype=torch.float32)
     lowest, best, kept = math.inf, DECAYS[0], np.empty((len(seen), len(start)))
     for decay in DECAYS:
         said = np.empty_like(kept)

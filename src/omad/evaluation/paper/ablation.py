@@ -85,18 +85,24 @@ def train_variant(
     finished had another budget or start."""
     checkpoint, home, own = checkpoint_of(folder, name), folder / variant.prior, variant.category(category)
     schedule = _short(variant.training.schedule, samples, seed)
-    made_of = {"source": "procedural", "purpose": "ablation"}
+    made_of = {"source": "procedural", "purpose": "ablation", "objects": len(models)}
     start = training_record(OmadNet, features) if features else None
     if is_checkpoint(checkpoint):
         record = training_record(OmadNet, checkpoint)
         trained, wanted = record["schedule"]["steps"] * record["schedule"]["batch"], schedule.steps * schedule.batch
         if trained != wanted:
             raise InputError(f"{checkpoint}: was trained on {trained} views, not on {wanted}; give another --output")
+        if record["schedule"]["seed"] != seed or record.get("objects", len(models)) != len(models):
+            raise InputError(f"{checkpoint}: was trained with another seed or other objects; give another --output")
         if record.get("features") != start:
             cure = "give the same --features or another --output"
             raise InputError(f"{checkpoint}: was trained from another start; {cure}")
         return checkpoint
-    if not is_checkpoint(home):
+    if is_checkpoint(home):
+        record = training_record(PriorNet, home)
+        if record["schedule"] != asdict(_short(PriorTraining().schedule, 2 * samples, seed)):
+            raise InputError(f"{home}: was trained on other views; give another --output")
+    else:
         short = PriorTraining(schedule=_short(PriorTraining().schedule, 2 * samples, seed))
         save(train_prior(models, own, home, short, device), home, made_of | {"schedule": asdict(short.schedule)})
     training = replace(variant.training, schedule=schedule)

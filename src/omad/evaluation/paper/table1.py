@@ -64,6 +64,7 @@ def row(
     if metrics == "released":
         released = released_errors(said.refined, truths.poses, category)
         line |= {name: known_means(values) for name, values in released.items()}
+        line |= dict.fromkeys(("joint_state_median", "joint_state_interval", "pivot_distance"))  # it has none
         line["axis_distance"] = _of_turning(line["axis_distance"], category)
     return line
 

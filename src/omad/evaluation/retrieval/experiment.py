@@ -86,9 +86,11 @@ def evaluate_draws(draws: list[Draw], objects: np.ndarray, method: Ranker) -> di
     for draw in draws:
         queries = draw.queries[:, : method.views]
         left_out = (queries[:, :, None] == draw.gallery).any(1)
-        order = rank(method.distance(queries, draw.gallery), left_out)
+        distances = method.distance(queries, draw.gallery)
+        order = rank(distances, left_out)
         same = (objects[draw.gallery] == objects[queries[:, :1]]) & ~left_out
         relevant = np.take_along_axis(same, order, 1)
+        relevant[~np.isfinite(distances).any(1)] = False  # who says nothing has found nothing
         found.append(scores(relevant))
         random.append(chance(relevant, rng, permutations=1))
     return {
