@@ -91,9 +91,9 @@ def test_only_proposed_categories_are_loaded(monkeypatch):
     loaded = []
     read = Estimator.from_pretrained
 
-    def noted(folder, device):
+    def noted(folder, device, config):
         loaded.append(folder.name)
-        return read(folder, device)
+        return read(folder, device, config)
 
     monkeypatch.setattr(late.Estimator, "from_pretrained", noted)
     fresh = shipped_estimators()

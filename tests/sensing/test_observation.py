@@ -168,8 +168,10 @@ def test_cloud() -> None:
     assert seen.points.shape == (98, 3)
     assert seen.depth is None
     assert seen.warnings == ()
-    behind = Observation.from_points(-points)
-    assert "camera frame" in behind.warnings[0]
+    points[5:20, 2] *= -1
+    assert "camera frame" in Observation.from_points(points).warnings[0]
+    with pytest.raises(InputError, match="behind the camera; turn z forward"):
+        Observation.from_points(-points)
     for bad, word in ((points[:, :2], "(N, 3)"), (points[:40], "at least 50"), (np.full((99, 3), np.nan), "0 valid")):
         with pytest.raises(InputError) as error:
             Observation.from_points(bad)

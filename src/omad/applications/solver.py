@@ -10,7 +10,7 @@ import numpy as np
 from omad.common.errors import InputError
 from omad.estimation.categories.late import AnyEstimator
 from omad.estimation.categories.ranking import Ranking, rank, suspected
-from omad.estimation.checks import Check, believed, camera_doubts, doubts, gravity_doubts, is_doubtful
+from omad.estimation.checks import Check, believed, camera_doubts, doubts, gravity_doubts, is_doubtful, no_surer
 from omad.estimation.estimate import Estimate
 from omad.estimation.estimator import Estimator
 from omad.estimation.known import NOTHING_KNOWN, Known
@@ -83,7 +83,8 @@ class Solver:
             ranking = rank(observation, self.all, self.known)
             if not ranking.candidates:
                 raise InputError("is of none of the categories, at no size; check depth scale, mask and intrinsics")
-            best = ranking.candidates[0].estimate
+            first = ranking.candidates[0]
+            best = no_surer(first.estimate, first.probability)
             return Found.of(best, doubts(observation, best, depth_scale), ranking, ranking.is_none)
         return self.judged(observation, self.chosen(observation, self.known), depth_scale)
 

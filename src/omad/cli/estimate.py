@@ -29,6 +29,7 @@ with lazy_imports():
     from omad.applications.solver import Found, Solver
     from omad.estimation import world
     from omad.estimation.categories.late import AnyEstimator, LateEstimator, shipped_estimators
+    from omad.estimation.categories.ranking import Ranking
     from omad.estimation.estimate import chance
     from omad.objects.category import Category
     from omad.output import picture
@@ -42,6 +43,8 @@ CHOICE = (
     f" well they explain what is seen; {OWN}"
 )
 AUTO = "auto"
+NEAR = 0.2
+"""A category with this probability is named beside the likeliest one."""
 DOUBTFUL = 1
 """Exit code of --strict."""
 
@@ -137,6 +140,8 @@ class EstimateCommand(CategoryCommand):
     def _poses(self, inputs: int) -> list[Any]:
         """T_world_camera of all inputs; of the one camera; or none. Raises InputError."""
         if not self.together:
+            if self.world is not None and inputs > 1:
+                print(f"omad: {inputs} inputs and one --world: the camera is taken to stand still", file=sys.stderr)
             return [] if self.world is None else [_pose(self.world)]
         if self.world is not None:
             raise InputError("--together: tells where the cameras are; leave out --world")
@@ -170,7 +175,7 @@ class EstimateCommand(CategoryCommand):
         save_html(observation, replace(estimate, warnings=doubts), folder / "estimate.html", title=file.name)
         save_formats(estimate, observation, folder, self.formats, T_world_camera)
         joints = ", ".join(map(str, estimate.joints))
-        name = f"{estimate.category.name}: " if self.category == AUTO else ""
+        name = "" if found.ranking is None or self.category != AUTO else f"{_named(found.ranking)}: "
         notes = [picture.how_sure(estimate), "" if estimate.converged else "not converged"]
         note = ", ".join(filter(None, notes))
         print(f"{file}: {name}{joints}{note and f' ({note})'} -> {folder}", file=sys.stderr)
@@ -180,6 +185,13 @@ class EstimateCommand(CategoryCommand):
             print(f"{file}: {'doubtful; ' if found.doubtful else ''}check:", file=sys.stderr)
         for check in found.checks:
             print(f"  [ ] {check.name}: {check.what}\n      why: {check.why}\n      do:  {check.cure}", file=sys.stderr)
+
+
+def _named(ranking: Ranking) -> str:
+    """The category, how likely it is, and the next where that is not far from it."""
+    first, *others = ((one.estimate.category.name, one.probability) for one in ranking.candidates)
+    near = [f"{name} {chance(probability)}" for name, probability in others[:1] if probability >= NEAR]
+    return f"{first[0]} ({'; '.join([chance(first[1]), *near])})"
 
 
 def _pose(file: Path) -> Any:
@@ -243,6 +255,8 @@ def detections_text(answer: dict[str, Any]) -> str:
         joints = found["estimate"]["joints"] if found["estimate"] else []
         states = ", ".join(f"{joint['name']} {state_and_std(joint)}" for joint in joints) or "-"
         box = "-" if found["box"] is None else ",".join(map(str, found["box"]))
+        if found["estimate"] and found["estimate"]["doubtful"]:
+            states += " (doubtful)"
         name, sure = called(found["likely"]), chance(found["likely_probability"])
         rows.append([str(number), name, sure, box, _vector(found["centre"]), states])
     if not answer["too_flat"]:

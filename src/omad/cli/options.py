@@ -47,7 +47,7 @@ Weights = Annotated[
     Path | None, tyro.conf.arg(help="Checkpoint folder, or its address, in place of the shipped weights.")
 ]
 Fast = Annotated[bool, tyro.conf.arg(help="Look half as often: nearly twice as fast, a little less accurate.")]
-_TO_SURFACE = "Go on towards the fit to the surface, as far as that helped on unseen objects; takes 0.2 seconds more."
+_TO_SURFACE = "Go on towards the fit to the surface, as far as that helped on unseen objects; takes 0.25 to 0.4 s more."
 ToSurface = Annotated[bool, tyro.conf.arg(help=_TO_SURFACE)]
 Split = Annotated[Literal["train", "test"], tyro.conf.arg(help="test: objects that no training has seen.")]
 _NOISE = "How much of a stereo camera's noise is simulated; folders of images have their own."

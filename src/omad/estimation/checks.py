@@ -95,9 +95,14 @@ def is_doubtful(estimate: Estimate, found: Sequence[Check]) -> bool:
 
 def believed(estimate: Estimate, found: Sequence[Check]) -> Estimate:
     """The estimate with no higher a probability than what was ``found`` leaves it."""
-    if estimate.probability is None or not any(check.grave for check in found):
+    return no_surer(estimate, RARELY) if any(check.grave for check in found) else estimate
+
+
+def no_surer(estimate: Estimate, probability: float) -> Estimate:
+    """The estimate, that it is right being no likelier than so."""
+    if estimate.probability is None:
         return estimate
-    return replace(estimate, probability=min(estimate.probability, RARELY))
+    return replace(estimate, probability=min(estimate.probability, probability))
 
 
 def size_doubts(observation: Observation, category: Category, depth_scale: float | None = None) -> Iterator[Check]:
@@ -170,6 +175,7 @@ def camera_doubts(
             f"{what} is about {likely} instead of {camera.fx:.0f} pixels",
             "the intrinsics may be those of another size of the image, or of another camera",
             f"give those of the depth image at {camera.width}x{camera.height}",
+            grave=True,
         )
     ]
 
@@ -190,7 +196,9 @@ def gravity_doubts(
             "gravity",
             f"without the gravity that was given the {estimate.category.name} stands {off:.0f} degrees otherwise",
             "the direction may be another one in the camera's frame, or the object does not stand upright",
-            "give the direction in which things fall, x right, y down, z forward; or leave it out",
+            "give the direction in which things fall, x right, y down, z forward, or leave it out; T_world_camera takes "
+            "from the camera to the world",
+            grave=True,
         )
     ]
 

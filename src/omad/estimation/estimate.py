@@ -338,6 +338,9 @@ class Estimate(PoseEstimate):
         start = _checked("T_camera_handle", T_camera_handle, (4, 4))
         T_world = np.eye(4) if T_world_camera is None else _checked("T_world_camera", T_world_camera, (4, 4))
         joint = self.joints[names.index(part) - 1]
+        low, high = joint.limits
+        if not 2 * low - high <= to_state <= 2 * high - low:
+            raise InputError(f"to_state: {to_state:g} is far beyond {low:.2f} to {high:.2f}; give radians or metres")
         motions = np.stack([joint.motion(travel) for travel in np.linspace(0.0, to_state - joint.state, steps)])
         return T_world @ motions @ np.linalg.inv(T_world) @ start
 

@@ -101,11 +101,14 @@ class InputReader:
         beside = Beside.of(file)
         mask = self._mask(file, beside)
         depth = read_depth(file, self.depth_scale, beside.depth_scale or MILLIMETRES)
-        color = self.color if self.color is not None else beside.color
+        color, warnings = self.color if self.color is not None else beside.color, list[str]()
         if isinstance(color, Path):
             color = read_color(_of_its_name(file, color, "colour image", COLOR_FORMATS) if color.is_dir() else color)
+        if self.color is None and self.colour is None and color is not None and color.shape[:2] != depth.shape:
+            warnings = [f"{beside.color} does not lie on the depth image, and is not shown; give --color-intrinsics"]
+            color = None
         seen = self.observe(depth, mask, self.camera or beside.camera, color)
-        return seen.warned(*self._contradicted(file, beside))
+        return seen.warned(*self._contradicted(file, beside), *warnings)
 
     def _mask(self, file: Path, beside: Beside) -> np.ndarray | None:
         if isinstance(self.mask, Path):
