@@ -196,8 +196,8 @@ def gravity_doubts(
             "gravity",
             f"without the gravity that was given the {estimate.category.name} stands {off:.0f} degrees otherwise",
             "the direction may be another one in the camera's frame, or the object does not stand upright",
-            "give the direction in which things fall, x right, y down, z forward, or leave it out; T_world_camera takes "
-            "from the camera to the world",
+            "give the direction in which things fall, x right, y down, z forward, or leave it out; T_world_camera "
+            "takes from the camera to the world",
             grave=True,
         )
     ]
