@@ -318,7 +318,7 @@ def test_page_runs(laptop, tmp_path, monkeypatch):
                 ran += 1
         else:
             words = code.split()
-            for name, extra in {"rrd": "rerun", "mjcf": "mujoco", "usd": "pxr"}.items():
+            for name, extra in {"mjcf": "mujoco", "usd": "pxr"}.items():
                 if not _installed(extra):
                     words.remove(name)
             assert words[0] == "omad"
