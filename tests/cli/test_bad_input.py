@@ -378,8 +378,8 @@ def test_rows_that_there_are_not_and_options_that_exclude_each_other(capsys):
 
 
 def test_weights_of_one_category_are_not_taken_for_others(capsys):
+    np.save("d.npy", np.ones((480, 640)))
     for command in (["figure", "sweep", "--output", "x"], ["detect", "d.npy", *K]):
-        np.save("d.npy", np.ones((480, 640)))
         line = refused(capsys, *command, "--weights", SHIPPED, "--categories", "drawer")
         assert "is for laptop, not for drawer" in line
 

@@ -198,3 +198,20 @@ def test_a_ros_package_is_one_folder():
         read_articulation(file)
     Path("models/package.xml").write_text("<package/>")
     assert len(read_articulation(file).links[0].mesh.faces) == 1
+
+
+def test_meshes_that_are_found_at_last_are_imported():
+    write_microwaves(Path("models"), 1)
+    more = '<visual><geometry><mesh filename="more/handle.obj"/></geometry></visual></link>'
+    [file] = Path("models").rglob("*.urdf")
+    file.write_text(file.read_text().replace("</link>", more, 1))
+    Path("elsewhere/more").mkdir(parents=True)
+
+    def said(folder: Path | None) -> list[str]:
+        found = import_folder(Path("models"), MICROWAVE, Path("ours"), missing_meshes="skip", mesh_folder=folder)
+        return [note.reason for note in found.notes]
+
+    assert "without" in " ".join(said(None))
+    assert "without" in " ".join(said(Path("elsewhere")))
+    shutil.copy(next(Path("models").rglob("*door*.obj")), "elsewhere/more/handle.obj")
+    assert "without" not in " ".join(said(Path("elsewhere")))

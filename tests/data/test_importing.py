@@ -335,23 +335,6 @@ def test_missing_meshes_may_be_done_without(mixed, capsys):
     assert "oven-0-3" in line
 
 
-def test_meshes_that_are_found_at_last_are_imported():
-    write_microwaves(Path("models"), 1)
-    more = '<visual><geometry><mesh filename="more/handle.obj"/></geometry></visual></link>'
-    [file] = Path("models").rglob("*.urdf")
-    file.write_text(file.read_text().replace("</link>", more, 1))
-    Path("elsewhere/more").mkdir(parents=True)
-
-    def said(folder: Path | None) -> list[str]:
-        found = import_folder(Path("models"), MICROWAVE, Path("ours"), missing_meshes="skip", mesh_folder=folder)
-        return [note.reason for note in found.notes]
-
-    assert "without" in " ".join(said(None))
-    assert "without" in " ".join(said(Path("elsewhere")))
-    shutil.copy(next(Path("models").rglob("*door*.obj")), "elsewhere/more/handle.obj")
-    assert "without" not in " ".join(said(Path("elsewhere")))
-
-
 def test_what_is_odd_about_a_model_is_noted(capsys):
     write_microwaves(Path("models"), 1)
     [model] = sorted(Path("models").iterdir())

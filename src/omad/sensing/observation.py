@@ -228,7 +228,7 @@ class Observation:
         if 0 < (count := np.count_nonzero(beside)) <= FEW * len(kept):  # their rays are far from all others
             kept = kept[~beside]
             warnings += (f"{count} point(s) beside or behind the camera were left out",)
-        if (behind := float((cloud[kept, 2] <= 0).mean())) > 0:
+        elif behind > 0:
             cure = "the cloud should be in the camera frame, z forward"
             warnings += (f"{behind:.0%} of the points lie behind the camera: {cure}",)
         seen = cls(cloud[kept].astype(np.float32), warnings=warnings)

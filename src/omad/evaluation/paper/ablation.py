@@ -98,12 +98,11 @@ def train_variant(
             cure = "give the same --features or another --output"
             raise InputError(f"{checkpoint}: was trained from another start; {cure}")
         return checkpoint
+    short = PriorTraining(schedule=_short(PriorTraining().schedule, 2 * samples, seed))
     if is_checkpoint(home):
-        record = training_record(PriorNet, home)
-        if record["schedule"] != asdict(_short(PriorTraining().schedule, 2 * samples, seed)):
+        if training_record(PriorNet, home)["schedule"] != asdict(short.schedule):
             raise InputError(f"{home}: was trained on other views; give another --output")
     else:
-        short = PriorTraining(schedule=_short(PriorTraining().schedule, 2 * samples, seed))
         save(train_prior(models, own, home, short, device), home, made_of | {"schedule": asdict(short.schedule)})
     training = replace(variant.training, schedule=schedule)
     backbone = load(OmadNet, features) if features else None
