@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 import omad
 from omad.applications.detection.cutting import ObjectFinder
 from omad.applications.detection.detector import Detector, measured_margin
+from omad.applications.solver import Solver
 from omad.common.errors import NothingSeen
 from omad.data.rendering.depth_noise import ON
 from omad.data.rendering.tabletop import Placed, Tabletop, draw_tabletop
@@ -96,6 +98,39 @@ def test_an_object_that_was_cut_out_already_is_left_as_it_is() -> None:
     assert len(finder("eyeglasses")(alone, box).points) == len(alone.points)
     assert measured_margin(frame(0)) > 0.5
     assert measured_margin(Observation.from_points(alone.points)) == 0
+
+
+def test_an_object_with_a_little_of_its_table_is_cut_out() -> None:
+    found = []
+    for index in SCENES:
+        drawn = scene(index)
+        for placed in drawn.objects:
+            if not placed.category or not placed.to_be_found:
+                continue
+            rows, columns = np.nonzero(placed.mask)
+            high, wide = np.ceil(0.4 * np.array([np.ptp(rows), np.ptp(columns)])).astype(int)
+            shown = np.zeros_like(placed.mask)
+            left, top = max(columns.min() - wide, 0), max(rows.min() - high, 0)
+            shown[top : rows.max() + high, left : columns.max() + wide] = True
+            little = Observation.from_depth(np.where(shown, drawn.depth, 0), drawn.camera)
+            if measured_margin(little) < 0.4:
+                boxes = (None, (left, top, columns.max() + wide, rows.max() + high))
+                found += [shared(finder(placed.category)(little, box), placed, drawn.depth > 0) > 0.7 for box in boxes]
+    assert len(found) >= 12
+    assert sum(found) >= 0.7 * len(found)  # of a laptop seen flat only the lid may be left
+
+
+def test_an_answer_is_no_surer_than_that_the_thing_is_the_object() -> None:
+    estimator = omad.Estimator.from_pretrained("laptop")
+    solver = Solver(estimator, lambda: [estimator])
+    placed = next(placed for placed in scene(1).objects if placed.category == "laptop")
+    found = finder("laptop")(frame(1), box_around(placed))
+    assert 0.5 < found.likelihood < 1
+    sure, unsure = (solver(one, None) for one in (found, replace(found, likelihood=0.3)))
+    assert not sure.doubtful
+    assert sure.estimate.probability <= found.likelihood
+    assert unsure.doubtful
+    assert unsure.estimate.probability == 0.3
 
 
 def test_an_object_that_was_cut_out_already_is_found_in_the_frame_that_shows_it_alone() -> None:

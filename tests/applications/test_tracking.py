@@ -1,6 +1,7 @@
 """Following an object through frames: the filter, what is believed of its shape, and the command."""
 
 import io
+import csv
 import json
 from pathlib import Path
 
@@ -96,6 +97,12 @@ def test_lost_and_found(folder, capsys):
     assert summary["frames"] == 10
     assert [lines[i]["status"] for i in (3, 4)] == ["tracking", "coasting"]
     assert lines[9]["status"] == "tracking"
+    rows = [*csv.DictReader(Path("omad-track/states.csv").read_text().splitlines())]
+    told = [line["probability"] for line in lines]
+    assert [float(row["probability"] or "nan") for row in rows] == pytest.approx(
+        [np.nan if one is None else one for one in told], abs=1e-3, nan_ok=True
+    )
+    assert summary["doubtful"] == sum(bool(line["doubtful"]) for line in lines) == sum((one or 1) < 0.5 for one in told)
     assert {"states.csv", "states.png", "summary.json"} <= {path.name for path in Path("omad-track").iterdir()}
 
 
@@ -146,11 +153,13 @@ def test_a_person_reads_degrees_and_centimetres():
     states = {"last_state": 0.5, "lowest_state": 0.0, "highest_state": None}
     joints = [{"name": "hinge", "type": "revolute", **states}, {"name": "slide", "type": "prismatic", **states}]
     answer = {"joint_states": joints, "status": {"tracking": 7, "coasting": 0, "lost": 1}, "frames": 8}
-    answer |= {"output": "out", "seconds_per_frame": 0.012, "refused": []}
+    answer |= {"output": "out", "seconds_per_frame": 0.012, "refused": [], "doubtful": 3}
     told = [line.split() for line in track_text(answer).splitlines()]
     assert ["hinge", "28.6°", "0.0°", "-"] in told
     assert ["slide", "50.0", "cm", "0.0", "cm", "-"] in told
     assert ["frames:", "8", "(7", "tracking,", "1", "lost,", "12", "ms", "each)"] in told
+    assert "doubtful: 3 frames" in track_text(answer)
+    assert "doubtful" not in track_text(answer | {"doubtful": 0})
     error = {"mean": 0.1, "p95": 0.2, "jitter": 0.1}
     longer = track_text(answer | {"errors": 2 * [{"tracked": error, "single": error | {"mean": 0.2}}]})
     assert ["hinge", "28.6°", "0.0°", "-", "5.7°", "11.5°"] in [line.split() for line in longer.splitlines()]

@@ -76,7 +76,8 @@ class Solver:
         """``depth_scale``: metres per number that it was read with, where known. Raises InputError where there is no
         answer."""
         found = self._solve(observation, depth_scale)
-        return replace(found, estimate=found.estimate.to_surface()) if self.to_surface and not found.none else found
+        estimate = no_surer(found.estimate, observation.likelihood)
+        return replace(found, estimate=estimate.to_surface() if self.to_surface and not found.none else estimate)
 
     def _solve(self, observation: Observation, depth_scale: float | None) -> Found:
         if self.chosen is None:
@@ -114,7 +115,10 @@ class Solver:
         assert self.chosen is not None
         estimates = self.chosen(views, self.known, T_world_camera=np.stack(poses))
         rows = zip(views, estimates, strict=True)
-        return [Found.of(e, [*doubts(view, e, depth_scale), *contradictions(e)]) for view, e in rows]
+        return [
+            Found.of(no_surer(e, view.likelihood), [*doubts(view, e, depth_scale), *contradictions(e)])
+            for view, e in rows
+        ]
 
     def find(self, frame: Observation, box: Sequence[float] | None) -> Observation:
         """The object in a whole frame. Raises InputError."""

@@ -165,4 +165,6 @@ def track_text(answer: dict[str, Any]) -> str:
     lost = len(answer["refused"])
     refused = [f"refused: {lost} frames, named in summary.json"] if lost else []
     page = f"page: {Path(answer['output']) / 'track.html'}"
-    return "\n".join([table(rows), f"frames: {answer['frames']} ({counts or 'none'}{each})", page, *refused])
+    unsure = answer["doubtful"]
+    doubtful = [f"doubtful: {unsure} frames, rather wrong than right; states.csv says which"] if unsure else []
+    return "\n".join([table(rows), f"frames: {answer['frames']} ({counts or 'none'}{each})", *doubtful, page, *refused])

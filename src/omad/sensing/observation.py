@@ -58,6 +58,8 @@ class Observation:
     """What a person should know before trusting the result."""
     color: np.ndarray | None = None
     """(H, W, 3) uint8, what a colour camera saw at the pixels of ``depth``: for pictures."""
+    likelihood: float = 1.0
+    """That it is of the object that was looked for, where one had to be found in a whole frame."""
     every: int = 1
     """Rows and columns of ``depth`` for one of points."""
 

@@ -1,15 +1,16 @@
 """The one object that is asked for, cut out of a whole frame where no mask says which it is."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from omad.common.errors import NothingSeen
 from omad.estimation.checks import USUAL_SIZE, wrong_scale
+from omad.sensing.cutting.segmentation import things_before_planes
 from omad.sensing.observation import Observation
 
-from .detector import SURE, TOUCHED, Detection, Detector, measured_margin
+from .detector import LEAST, SURE, TOUCHED, Detection, Detector, measured_margin
 from .judgement import ODD_SIZE, size_ratio
 
 MEASURED = 0.4
@@ -17,6 +18,10 @@ MEASURED = 0.4
 too large for one."""
 LIKELY = 0.2
 """A thing less likely than this is not taken for the object, unless a box says so."""
+MOST = 0.75
+"""Where one thing holds this share of what a frame shows, there is nothing beyond it."""
+ALONE = 0.8
+"""So likely an object, all that a frame shows is it."""
 
 
 @dataclass(frozen=True)
@@ -27,20 +32,23 @@ class ObjectFinder:
 
     def __call__(self, frame: Observation, box: Sequence[float] | None = None) -> Observation:
         """The object of a whole ``frame``, with warnings where it is doubtful or not the only one; of what lies in the
-        ``box`` (x1, y1, x2, y2) where one is given. A frame that shows an object and no surroundings is left as it is.
+        ``box`` (x1, y1, x2, y2) where one is given. A frame that shows an object and no surroundings is left as it is;
+        one that may show a little of them only where that explains it better than one of its things does.
         Raises NothingSeen where no thing is such an object, InputError for a box that is wrong."""
-        ratios = [size_ratio(frame.points, estimator.category) for estimator in self.detector.estimators]
-        seen = measured_margin(frame)
-        if seen < (TOUCHED if min(ratios) > ODD_SIZE else MEASURED):
-            return frame if box is None else frame.part(frame.inside(box))
+        alone = self._alone(frame, box)
+        as_one = 0.0 if alone is None else self._likelihood_as_one(alone)
+        if alone is not None and as_one >= ALONE:
+            return alone
         look = self.detector.look(frame, box)
         things = look.detections
         names = " or ".join(estimator.category.name for estimator in self.detector.estimators)
         where = "before table, floor and walls" if box is None else "in the box before table, floor and walls"
         cure = "give a mask, or a box around the object; omad detect shows what was found"
+        candidates = sorted((thing for thing in things if thing.evidence), key=_likelihood, reverse=True)
+        if alone is not None and max(map(_likelihood, candidates), default=0.0) < max(SURE, as_one):
+            return alone
         if not things:
             raise NothingSeen(f"no {names}: nothing stands {where}; {cure}")
-        candidates = sorted((thing for thing in things if thing.evidence), key=_likelihood, reverse=True)
         if not candidates:
             sizes = sorted(float(np.linalg.norm(np.ptp(thing.observation.points, axis=0))) for thing in things)
             what = f"{len(things)} things of {sizes[0]:.2g} to {sizes[-1]:.2g} m stand {where}, none is about as large"
@@ -59,7 +67,22 @@ class ObjectFinder:
             places = ", ".join(f"{','.join(map(str, one.box or ()))} ({_likelihood(one):.0%})" for one in others)
             told = f"more than one {names} is seen: the likeliest was taken, others are in the boxes {places}"
             doubts.append(f"{told}; omad detect gives them all, a box the one that is meant")
-        return best.observation.warned(*doubts)
+        return replace(best.observation.warned(*doubts), likelihood=likelihood)
+
+    def _alone(self, frame: Observation, box: Sequence[float] | None) -> Observation | None:
+        """What a frame shows, in the ``box``, where it has hardly any surroundings."""
+        ratios = [size_ratio(frame.points, estimator.category) for estimator in self.detector.estimators]
+        if measured_margin(frame) >= (TOUCHED if min(ratios) > ODD_SIZE else MEASURED):
+            return None
+        return frame if box is None else frame.part(frame.inside(box))
+
+    def _likelihood_as_one(self, seen: Observation) -> float:
+        """That all of what is seen is one object; 1 without a judgement where one thing holds most of it, or nothing
+        stands before a plane."""
+        things = things_before_planes(seen.points, LEAST).clusters
+        if not things or len(things[0]) >= MOST * len(seen.points):
+            return 1.0
+        return _likelihood(self.detector.whole(seen))
 
 
 def _likelihood(thing: Detection) -> float:

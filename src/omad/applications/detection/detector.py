@@ -145,6 +145,10 @@ class Detector:
         flat = tuple(e.category.name for e in self.estimators if _height(e) < CLEAR * found.lowest)
         return Look(judged, found.lowest, flat, angle_doubts(found.planes))
 
+    def whole(self, frame: Observation) -> Detection:
+        """All of a frame as one thing, without table, floor and walls."""
+        return self._judged([frame], np.zeros((0, 4)))[0]
+
     def _judged(self, seen: Sequence[Observation], planes: np.ndarray) -> list[Detection]:
         """Each of the things that were ``seen`` before ``planes`` (P, 4)."""
         steady = [steadied(thing) for thing in seen]

@@ -160,19 +160,20 @@ class TrackedSequence:
         with path.open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file)
             head = [f"{name}{of}" for name in names for of in ("", "_std", "_single")]
-            writer.writerow(["frame", "time", "status", *head])
+            writer.writerow(["frame", "time", "status", *head, "probability"])
             for frame, one in zip(self.files, self.tracked, strict=True):
                 row = [frame.path.name, f"{frame.time:.6f}", one.status]
                 for j in range(len(names)):
                     joint = one.estimate and one.estimate.joints[j]
                     row += [f"{joint.state:.6f}", f"{joint.state_std:.6f}"] if joint else ["", ""]
                     row.append(f"{one.single.joints[j].state:.6f}" if one.single else "")
-                writer.writerow(row)
+                sure = one.estimate and one.estimate.probability
+                writer.writerow([*row, "" if sure is None else f"{sure:.3f}"])
 
 
 def summarise(category: Category, tracked: Sequence[TrackedEstimate], truth: Truth | None = None) -> dict[str, Any]:
-    """Frames by status, the last joint states, and their range; with ``truth`` the errors of tracked and single
-    answers on the same frames. Radians and metres."""
+    """Frames by status and how many are doubtful, the last joint states, and their range; with ``truth`` the errors of
+    tracked and single answers on the same frames. Radians and metres."""
     statuses = [one.status for one in tracked]
     seen = [one.estimate for one in tracked if one.estimate]
     joints: list[dict[str, Any]] = []
@@ -183,6 +184,7 @@ def summarise(category: Category, tracked: Sequence[TrackedEstimate], truth: Tru
         joints.append({"name": spec.name, "type": spec.type, **found})
     counts = {status: statuses.count(status) for status in ("tracking", "coasting", "lost")}
     summary = {"frames": len(tracked), "status": counts, "tracks": sum(one.restarted for one in tracked)}
+    summary["doubtful"] = sum(bool(one.estimate and one.estimate.doubtful) for one in tracked)
     summary |= {"last_status": statuses[-1] if statuses else None, "joint_states": joints}
     return summary if truth is None else summary | {"errors": _errors(category, tracked, truth)}
 
