@@ -1,7 +1,7 @@
 """Following an object through frames: the filter, what is believed of its shape, and the command."""
 
-import io
 import csv
+import io
 import json
 from pathlib import Path
 
