@@ -100,7 +100,7 @@ class PartEstimate:
     T_camera_part: np.ndarray
     """(4, 4) canonical rest coordinates to camera."""
     mesh: Mesh
-    """Its surface, canonical space at rest."""
+    """Its surface, canonical space at rest: ``T_camera_part`` carries it to ``mesh_in_camera``."""
     mesh_in_camera: Mesh
     """Its surface where it is seen, camera frame."""
 
@@ -172,10 +172,10 @@ class Estimate(PoseEstimate):
 
     @cached_property
     def surface(self) -> PosedSurface:
-        """Surfaces of the parts, fitted to what was seen with pose and joint states; worked out at the first time of
-        asking. Raises InputError where the weights' surfaces cannot be read."""
+        """Surfaces of the parts, fitted to what was seen; ``T_camera_part`` carries them there. Worked out at the
+        first time of asking. Raises InputError where the weights' surfaces cannot be read."""
         if self.surfaces is None:
-            return PosedSurface(self.hulls, self.placed)
+            return PosedSurface(self.hulls, self.placed, self.placed)
         if self.of_other_hand:
             return self.in_mirror().surface.mirrored(self.category.turning)
         return self.surfaces.fitted(self, self.covariance, self.labelled.points, self.part_labels)

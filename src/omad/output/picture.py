@@ -223,7 +223,7 @@ def _draw_surface(panel: Axes, camera: Camera, observation: Observation, estimat
 def _draw_from_side(panel: Axes, points: np.ndarray, estimate: Estimate) -> None:
     """Cloud and model outlines along the object's own x axis, orthographically: depth errors show here."""
     step = -(-len(points) // MAX_DRAWN)
-    T_base_camera = np.linalg.inv(estimate.surface.placed.T_camera_part[0])
+    T_base_camera = np.linalg.inv(estimate.T_camera_base)
     _, y, z = carry(T_base_camera, points[::step]).T
     panel.scatter(z, y, s=1.5, c=part_colours(estimate.part_labels[::step]), linewidths=0)
     for part, mesh in enumerate(estimate.surface.posed()):

@@ -48,8 +48,8 @@ def save_ply(
     """Write ``object.ply`` (all parts, coloured) and ``part-<name>.ply`` each: ``frame``, metres, estimated state,
     so that they lie on the observed cloud. Returns the files."""
     folder, parts = Path(folder), {}
-    fitted = frame.T_frame_camera @ estimate.surface.placed.T_camera_part
-    of_parts = part_surfaces(estimate, observation), fitted, byte_colours(estimate)
+    places = frame.T_frame_camera @ estimate.T_camera_part
+    of_parts = part_surfaces(estimate, observation), places, byte_colours(estimate)
     for spec, mesh, T, colour in zip(estimate.category.parts, *of_parts, strict=True):
         placed, rgba = mesh.carried(T), np.append(colour, 255).astype(np.uint8)
         shape = {"vertex_colors": np.tile(rgba, (len(mesh.vertices), 1)), "process": False}

@@ -78,10 +78,8 @@ def log_frame(
         seen = np.rint(255 * part_colours(estimate.part_labels)).astype(np.uint8)
         log("camera/cloud", rr.Points3D(observation.points, colors=seen, radii=0.001))
     log("camera/keypoints", rr.Points3D(estimate.keypoints, colors=colours[part_of], radii=0.003))
-    surfaces, placed = estimate.hulls, estimate.T_camera_part
-    if static:
-        surfaces, placed = part_surfaces(estimate, observation), estimate.surface.placed.T_camera_part
-    for spec, mesh, T, colour in zip(estimate.category.parts, surfaces, placed, colours, strict=True):
+    surfaces = part_surfaces(estimate, observation) if static else estimate.hulls
+    for spec, mesh, T, colour in zip(estimate.category.parts, surfaces, estimate.T_camera_part, colours, strict=True):
         shape = {"vertex_positions": carry(T, mesh.vertices), "triangle_indices": mesh.faces}
         shown = rr.Mesh3D(**shape, vertex_colors=np.tile(colour, (len(mesh.vertices), 1)))
         log(f"camera/parts/{spec.name}", shown)

@@ -27,20 +27,29 @@ from .template import Template
 
 @dataclass(frozen=True)
 class PosedSurface:
-    """Surfaces of an object's parts, and where the object is."""
+    """Surfaces of an object's parts, as the answer that they were fitted for carries them.
+
+    The fit moves pose and joint states, too, but the answer stays what it is, and an export must not speak of two
+    poses. So each part's rest mesh takes up what the fit and the answer differ by: at the answer's pose and joint
+    states every part lies exactly where it was fitted, and from there it moves as the answer's joints say. The price:
+    parts that touch at rest may be apart, or in one another, by that difference, 1 to 3 per cent of the object's
+    diagonal. Rest meshes are no farther from the true object for it: docs/surfaces.md compares the ways."""
 
     parts: tuple[Mesh, ...]
     """Canonical space at rest, metres."""
+    found: ObjectPose
+    """The answer's: carries ``parts`` to where they were fitted. Metres, camera frame."""
     placed: ObjectPose
-    """Metres, camera frame."""
+    """Where the fit has the object, with joint states, axes and pivots of its own."""
 
     def mirrored(self, turning: Sequence[bool]) -> PosedSurface:
         """Their image in the camera's plane x = 0; ``turning`` as ``Category`` has it."""
-        return PosedSurface(tuple(part.mirrored() for part in self.parts), self.placed.mirrored(turning))
+        parts = tuple(part.mirrored() for part in self.parts)
+        return PosedSurface(parts, self.found.mirrored(turning), self.placed.mirrored(turning))
 
     def posed(self) -> tuple[Mesh, ...]:
         """Each part's surface where it is, camera frame."""
-        return tuple(part.carried(T) for part, T in zip(self.parts, self.placed.T_camera_part, strict=True))
+        return tuple(part.carried(T) for part, T in zip(self.parts, self.found.T_camera_part, strict=True))
 
 
 @dataclass(frozen=True)
@@ -118,7 +127,8 @@ class Surfaces:
         unit, config = self.category.metres_per_unit, self.config
         cloud = Cloud.of(points / unit, labels, config.fit.most)
         if cloud is None or not np.isfinite(covariance).all():
-            return FittedSurface(self.of_keypoints(found.canonical_keypoints), found.placed, np.zeros(len(covariance)))
+            parts, still = self.of_keypoints(found.canonical_keypoints), np.zeros(len(covariance))
+            return FittedSurface(parts, found.placed, found.placed, still)
         scale = np.concatenate([np.ones(3), np.full(3, unit), self.category.state_units, np.ones(len(found.beta))])
         limits = np.array([joint.limits for joint in self.category.joints])
         start = self._state(found)
@@ -128,7 +138,10 @@ class Surfaces:
         best = self._chosen(fit, placed)
         placed = fit(placed, best)
         parts = followed(fit, placed, best) if self.bank.follows else best.at(placed.keypoints)
-        return FittedSurface(_in_metres(parts, unit), self._metric(placed), placed.moved)
+        where = self._metric(placed)
+        moved = np.linalg.inv(found.placed.T_camera_part) @ where.T_camera_part
+        parts = tuple(part.carried(T) for part, T in zip(_in_metres(parts, unit), moved, strict=True))
+        return FittedSurface(parts, found.placed, where, placed.moved)
 
     def towards(self, found: PosedObject, fitted: FittedSurface, share: np.ndarray) -> PosedObject:
         """What was found, so far on its way to what was fitted to it: ``share`` (P,) of the step."""
