@@ -81,7 +81,7 @@ def test_one_is_mirrored_and_their_fits_move_them():
 
 @pytest.mark.parametrize("hand", HANDS)
 def test_parts_lie_where_the_surface_was_fitted(hand):
-    observation, estimate = seen(hand)
+    estimate = seen(hand)[1]
     for part, posed in zip(estimate.parts, estimate.surface.posed(), strict=True):
         assert np.allclose(part.mesh.carried(part.T_camera_part).vertices, part.mesh_in_camera.vertices, atol=1e-9)
         assert np.allclose(posed.vertices, part.mesh_in_camera.vertices, atol=1e-9)

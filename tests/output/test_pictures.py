@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from helpers.categories import EVERY
 from helpers.command_line import laptop_view, save_png
 from omad.cli.main import run
 from omad.common.errors import InputError
@@ -19,7 +20,7 @@ from omad.estimation.estimator import Estimator
 from omad.geometry.camera import Camera
 from omad.output.frame_image import frame_image
 from omad.output.page import page_text
-from omad.output.picture import MAX_SIDE, figure, show
+from omad.output.picture import MAX_SIDE, PART_COLOURS, figure, part_colours, show
 from omad.sensing.camera_files import CameraFile
 from omad.sensing.colour_mask import ColourCamera
 from omad.sensing.observation import Observation
@@ -43,6 +44,17 @@ def test_the_object_fills_its_panels():
         assert left < low[0]
         assert right > high[0]
         assert max((high[0] - low[0]) / (right - left), (high[1] - low[1]) / (bottom - top)) > 0.8
+
+
+@pytest.mark.parametrize("parts", sorted({len(category.parts) for category in EVERY.values()} | {16}))
+def test_every_part_has_its_own_colour_and_none_is_that_of_no_part(parts):
+    colours = part_colours(np.arange(-1, parts))
+    apart = np.linalg.norm(colours[:, None] - colours[None], axis=-1)[~np.eye(parts + 1, dtype=bool)]
+    assert apart.min() > 0.15
+    assert colours[0].tolist() == PART_COLOURS[-1].tolist() == [0.6, 0.6, 0.6]
+    assert part_colours(parts - 1).tolist() == colours[-1].tolist()
+    first = [[0.35, 0.6, 0.95], [1.0, 0.6, 0.25], [0.45, 0.8, 0.4], [0.85, 0.4, 0.75]]  # as in older pictures
+    assert colours[1:5].tolist() == first[:parts]
 
 
 def test_a_point_right_before_the_lens_makes_no_boundless_picture():

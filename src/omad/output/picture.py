@@ -24,7 +24,16 @@ from omad.model.surfaces.agreement import Overlay
 from omad.objects.pose import ObjectPose
 from omad.sensing.observation import Observation
 
-PART_COLOURS = np.array([[0.35, 0.6, 0.95], [1.0, 0.6, 0.25], [0.45, 0.8, 0.4], [0.85, 0.4, 0.75], [0.6, 0.6, 0.6]])
+PART_COLOURS = np.array(
+    [
+        *([0.35, 0.6, 0.95], [1.0, 0.6, 0.25], [0.45, 0.8, 0.4], [0.85, 0.4, 0.75]),
+        *([0.95, 0.85, 0.2], [0.2, 0.75, 0.75], [0.8, 0.2, 0.2], [0.45, 0.3, 0.8]),
+        [0.6, 0.6, 0.6],
+    ]
+)
+"""Of parts by their number; the last one, grey, of what is none."""
+DARKER = 0.6
+"""Each round of parts than the one before, where an object has more of them than there are colours."""
 DIFFERENCES = {
     "in_front": ("in front of what was seen", "#e8a000"),
     "behind": ("behind it", "#6a3fd0"),
@@ -48,8 +57,11 @@ def reading(turns: bool) -> tuple[float, str]:
 
 
 def part_colours(parts: np.ndarray | int) -> np.ndarray:
-    """(..., 3) colours of parts by their number, the same in every picture; the last one, grey, of what is none."""
-    return PART_COLOURS[np.asarray(parts) % len(PART_COLOURS)]
+    """(..., 3) colours of parts by their number, the same in every picture and file; grey below zero, of what is
+    none."""
+    number, colours = np.asarray(parts, dtype=int), len(PART_COLOURS) - 1
+    own = PART_COLOURS[number % colours] * DARKER ** (number // colours)[..., None]
+    return np.where(number[..., None] < 0, PART_COLOURS[-1], own)
 
 
 def figure(observation: Observation, estimate: Estimate, truth: ObjectPose | None = None, title: str = "") -> Figure:
