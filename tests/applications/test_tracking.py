@@ -1,8 +1,11 @@
 """Following an object through frames: the filter, what is believed of its shape, and the command."""
 
+import base64
 import csv
 import io
 import json
+import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +14,7 @@ from PIL import Image
 from sequences import SequenceConfig, SequenceFrame, render_sequence
 
 import omad
+from helpers.headless_browser import HeadlessBrowser
 from omad.applications.tracking import page
 from omad.applications.tracking.motion import MotionConfig, MotionFilter, Placement
 from omad.applications.tracking.sequence import TrackedSequence
@@ -20,6 +24,7 @@ from omad.cli.main import run
 from omad.cli.track import track_text
 from omad.common.errors import InputError
 from omad.data.procedural import generate
+from omad.data.rendering.standard_views import standard_view
 from omad.objects.category_file import get_category
 
 finish = TrackedSequence.finish
@@ -129,6 +134,50 @@ def test_stream_with_bad_frames_and_times(folder, capsys, monkeypatch):
     assert [line["status"] == "refused" for line in lines] == [False, True, True, False]
     assert lines[3]["time"] == pytest.approx(0.6)
     assert "20x10" in lines[2]["reason"]
+
+
+@pytest.fixture(scope="module")
+def stapler() -> tuple[omad.Observation, omad.Estimate]:
+    """One of its joints has a long name."""
+    category = get_category("stapler")
+    observation = standard_view(generate(category, 3, "test"), category, (1, 3)).observation()
+    return observation, omad.Estimator.from_pretrained("stapler", "cpu")(observation)
+
+
+def test_a_line_says_of_which_hand_the_shape_is(stapler):
+    estimate = replace(stapler[1], hand_probability=0.75)
+    for one in (estimate, estimate.in_mirror()):
+        said = TrackedEstimate(0.0, "tracking", one).to_dict()
+        assert said["mirrored"] == one.of_other_hand
+        assert said["hand_probability"] == 0.75
+    lost = TrackedEstimate(0.0, "lost", None).to_dict()
+    assert (lost["mirrored"], lost["hand_probability"]) == (None, None)
+
+
+def test_the_page_has_a_grid_a_scale_and_axes_and_names_in_full(stapler, tmp_path):
+    shown = page.TrackPage()
+    for time in (0.0, 0.5, 1.0):
+        shown.add(f"{time}.png", stapler[0], TrackedEstimate(time, "tracking", stapler[1]))
+    shown.save(tmp_path / "track.html", "a stapler")
+    assert "__" not in re.sub(r"<script id=.data.*?</script>", "", (tmp_path / "track.html").read_text(), flags=re.S)
+    browser = HeadlessBrowser(tmp_path / "profile", 1000, 900)
+    browser.command("Page.navigate", url=(tmp_path / "track.html").as_uri())
+    browser.wait("document.readyState === 'complete' && document.title.startsWith('a stapler')")
+
+    def pixels(name: str) -> np.ndarray:
+        """(H, W, 3) of a canvas."""
+        picture = browser.run(f"document.getElementById('{name}').toDataURL()")
+        return np.asarray(Image.open(io.BytesIO(base64.b64decode(picture.partition(",")[2]))).convert("RGB"))
+
+    space, plot = pixels("space"), pixels("plot")
+    browser.close()
+    assert browser.errors == []
+    bar, axes = space[-19:-10, 12:24], space[-90:, -90:].reshape(-1, 3)
+    assert (bar == 0x33).all(2).any()
+    assert (np.abs(axes - np.array([220, 20, 60])).max(1) < 20).any()  # crimson: x
+    assert ((space > 210) & (space < 235)).all(2).sum() > 200  # the grid
+    assert (plot[:, :4] == 255).all()  # names end before the edge
+    assert (plot[:, 4:60] < 100).any()
 
 
 @pytest.mark.parametrize("content", ["", "name,seconds\n0000.png,0\n0001.png,soon\n", "0000.png,0\n"])

@@ -79,6 +79,7 @@ def test_numbers_are_those_of_the_estimate(name):
     assert [j["state"] for j in data["joints"]] == pytest.approx(estimate.joint_states)
     assert [j["state_std"] for j in data["joints"]] == pytest.approx([j.state_std for j in estimate.joints], abs=1e-6)
     assert [j["true_state"] for j in data["joints"]] == pytest.approx(truth.states, abs=1e-6)
+    assert [j["fraction"] for j in data["joints"]] == pytest.approx([j.fraction for j in estimate.joints], abs=1e-4)
     assert np.array(data["initial_keypoints"]) == pytest.approx(estimate.initial.keypoints, abs=1e-5)
     assert len(data["cloud"]) == len(data["labels"]) <= min(MAX_POINTS, data["points"])
     assert data["points"] == len(observation.points)
@@ -237,6 +238,10 @@ def test_in_a_browser(name, said_in_browser):
         shown = degrees if joint["type"] == "revolute" else f"{100 * joint['state']:.1f} cm"
         assert joint["name"] in said["text"]
         assert shown in said["text"]
+        said_of_it = next(line for line in said["text"].splitlines() if line.startswith(f"{joint['name']} ("))
+        travel = f"{round(100 * joint['fraction']) + 0} %"
+        assert travel in said_of_it.split("\t")  # as JSON and the command have it
+        assert f"{shown}, {travel}" in said_of_it  # and the slider, which stands there
 
 
 def expected_axis(data: dict, states: list[float], joint: dict) -> np.ndarray:

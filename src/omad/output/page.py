@@ -1,6 +1,6 @@
 """One self-contained HTML page an estimate: it opens from disk, needs no network, and its sliders move the object.
-``page.html`` beside this file is the page; this module fills in its one JSON object. Lengths are metres, angles
-radians, points in the camera frame unless they are called canonical."""
+``page.html`` beside this file is the page; this module fills in ``space.js``, with which all pages draw, and one JSON
+object. Lengths are metres, angles radians, points in the camera frame unless they are called canonical."""
 
 import base64
 import io
@@ -27,8 +27,8 @@ MAX_POINTS = 4000
 """Points of the cloud on a page at most: it stays under 200 kB."""
 MAX_IMAGE = 480
 """Pixels along the longer side of the depth picture."""
-DATA = "__DATA__"
-"""Where the template takes its JSON."""
+DATA, SPACE = "__DATA__", "__SPACE__"
+"""Where a template takes its JSON, and the drawing code that all pages share (``space.js``)."""
 
 
 def save_html(
@@ -40,9 +40,17 @@ def save_html(
 
 def page_text(observation: Observation, estimate: Estimate, truth: ObjectPose | None = None, title: str = "") -> str:
     """The page as text. ``title`` may be any text: it is never read as HTML."""
-    template = package_files("omad.output").joinpath("page.html").read_text(encoding="utf-8")
-    text = json.dumps(page_data(observation, estimate, truth, title), separators=(",", ":"), allow_nan=False)
-    return template.replace(DATA, text.replace("<", "\\u003c"), 1)  # a "</script>" in a name must not end the script
+    return filled("omad.output", page_data(observation, estimate, truth, title))
+
+
+def filled(package: str, data: Any) -> str:
+    """The template ``page.html`` of a package, with the drawing code and with ``data`` (plain JSON values) in it."""
+    template, code = (
+        package_files(owner).joinpath(name).read_text(encoding="utf-8")
+        for owner, name in ((package, "page.html"), ("omad.output", "space.js"))
+    )
+    text = json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+    return template.replace(SPACE, code, 1).replace(DATA, text, 1)  # a "</script>" in a name must not end the script
 
 
 def page_data(
@@ -61,7 +69,7 @@ def page_data(
         for before in [convex_hull(initial.keypoints[part_of == k])]
     ]
     joints = [
-        {"name": joint.name, "type": joint.type, **asdict(joint.unit_motion)}
+        {"name": joint.name, "type": joint.type, **asdict(joint.unit_motion), "fraction": _rounded(joint.fraction, 4)}
         | {"state": _rounded(joint.state, 9), "state_std": _rounded(joint.state_std, 6)}
         | {"limits": _rounded(joint.limits, 6), "axis": _rounded(joint.axis, 6), "pivot": _rounded(joint.pivot, 5)}
         | {"initial_state": _rounded(before.state, 6), "initial_axis": _rounded(before.axis, 6)}

@@ -1,8 +1,6 @@
 """One self-contained HTML page a track: a slider for time, what the camera saw at each frame, and the object beside it.
 ``page.html`` beside this file is the page; this module fills in its one JSON object."""
 
-import json
-from importlib.resources import files as package_files
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +13,7 @@ from omad.estimation.estimate import Estimate, plain
 from omad.geometry.camera import Camera
 from omad.geometry.rigid import carry
 from omad.output.frame_image import frame_image, jpeg_uri
+from omad.output.page import filled
 from omad.output.picture import axis_segment, part_colours
 from omad.sensing.observation import Observation
 
@@ -26,8 +25,6 @@ MOST_SHOWN = 600
 """Frames of a page with picture and cloud at most: of longer tracks every second has them, or fourth ..."""
 MAX_POINTS = 500
 """Of a frame's cloud that are drawn."""
-DATA = "__DATA__"
-"""Where the template takes its JSON."""
 
 
 class TrackPage:
@@ -94,6 +91,4 @@ class TrackPage:
             "part_of": part_of,
             "frames": self._frames,
         }
-        template = package_files("omad.applications.tracking").joinpath("page.html").read_text(encoding="utf-8")
-        text = json.dumps(plain(record), separators=(",", ":"), allow_nan=False)
-        write_text(path, template.replace(DATA, text.replace("<", "\\u003c"), 1))
+        write_text(path, filled("omad.applications.tracking", plain(record)))
