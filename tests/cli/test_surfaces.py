@@ -33,8 +33,8 @@ def test_estimates_take_their_surfaces_from_the_bank(weights, capsys):
     estimate = omad.Estimator.from_pretrained(weights, "cpu")(observation)
     assert [part.name for part in estimate.parts] == ["base", "screen"]
     assert [len(part.mesh.faces) for part in estimate.parts] != hulls
-    for part, T in zip(estimate.parts, estimate.surface.placed.T_camera_part, strict=True):
-        assert np.allclose(part.mesh.carried(T).vertices, part.mesh_in_camera.vertices)
+    for part in estimate.parts:
+        assert np.allclose(part.mesh.carried(part.T_camera_part).vertices, part.mesh_in_camera.vertices)
         assert len(part.mesh.faces) == len(part.mesh_in_camera.faces)
     exported = answer(capsys, "export", *LAPTOP, "--weights", str(weights), "--output", str(weights / "copy"))
     assert FILE in exported["files"]

@@ -84,3 +84,6 @@ def test_without_surfaces_or_shares_there_is_no_way(estimate):
     for each in (bare, unmeasured):
         with pytest.raises(InputError, match=r"to_surface: .*run omad train surface --category dishwasher"):
             each.to_surface()
+    own = replace(bare, category=replace(DISHWASHER, name="pedal_bin"))
+    with pytest.raises(InputError, match=r"train surface --category SPEC --weights W --prior P --source S.*pedal_bin"):
+        own.to_surface()

@@ -7,22 +7,26 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
+import omad
 from omad.common.errors import InputError
 from omad.data.procedural import generate
+from omad.data.rendering.standard_views import standard_view
 from omad.data.surface_bank import SurfaceBank
 from omad.geometry.closest import Surface
 from omad.geometry.mesh import merge_meshes
+from omad.geometry.transforms import MIRROR_X
 from omad.model.checkpoint import find_weights, load, shipped_categories
 from omad.model.fitting.state import State
 from omad.model.object_prior import object_keypoints
 from omad.model.omadnet import OmadNet
 from omad.model.priornet import PriorNet
-from omad.model.surfaces.bank import FILE, ShapeBank
+from omad.model.surfaces.bank import FILE, ShapeBank, train_command
 from omad.model.surfaces.fitting import Cloud, FitConfig, SurfaceFit
 from omad.model.surfaces.placed import Placed, VisibleSurface
 from omad.model.surfaces.shares import Shares
 from omad.model.surfaces.surfaces import Surfaces
 from omad.model.surfaces.template import Skin
+from omad.objects.category_file import get_category
 from omad.training.train_surfaces import surface_bank
 
 
@@ -112,6 +116,57 @@ def test_surfaces_of_betas(laptop):
         assert len(parts) == len(net.category.parts)
         surface = Surface.of(merge_meshes(parts).triangles / unit, 5000, np.random.default_rng(0))
         assert surface.distances(points).mean() < 0.05  # keypoints lie on surfaces, or between two sides of a thin part
+
+
+def test_surfaces_of_one_beta_and_of_the_other_hand(laptop):
+    net, surfaces = laptop
+    betas = net.prior.beta_mean.numpy() + [np.zeros(10), np.eye(10)[1]]
+    both = surfaces.of_beta(betas)
+    [alone], [of_tensor] = surfaces.of_beta(betas[1]), surfaces.of_beta(torch.as_tensor(betas[1]))
+    mirrored, ordinary = surfaces.of_beta(betas[::-1], np.array([True, False]))
+    [image] = surfaces.of_beta(betas[1], of_other_hand=True)
+    for k, part in enumerate(both[1]):
+        assert np.allclose(alone[k].vertices, part.vertices)
+        assert np.allclose(of_tensor[k].vertices, part.vertices)
+        for other in (mirrored[k], image[k]):
+            assert np.allclose(other.vertices, part.vertices * MIRROR_X)
+            assert np.array_equal(other.faces, part.faces[:, ::-1])
+        assert np.allclose(ordinary[k].vertices, both[0][k].vertices)
+
+
+def test_the_shape_of_an_estimate_of_the_other_hand_is_its_own():
+    category = get_category("cabinet_one_door")
+    model = generate(category, 3, "test").mirrored()
+    seen = standard_view(model, category, (7, 3)).observation()
+    estimate = omad.Estimator.from_pretrained("cabinet_one_door", "cpu")(seen)
+    assert estimate.of_other_hand
+    [parts] = estimate.surfaces.of_beta(estimate.beta, estimate.of_other_hand)
+    for part, carried in zip(parts, estimate.carried_model().parts, strict=True):
+        assert np.allclose(part.vertices, carried.vertices, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("beta", "hands", "message"),
+    [
+        (np.zeros(9), False, r"beta: shape \(9,\).*\(10,\) or \(B, 10\)"),
+        (np.zeros((2, 3, 10)), False, r"beta: shape"),
+        (np.float64(0.0), False, r"beta: shape \(\)"),
+        (np.array(["a"] * 10), False, r"beta: shape"),
+        (np.full(10, np.nan), False, r"beta: .*finite"),
+        (np.zeros((2, 10)), [True, False, True], r"of_other_hand: shape \(3,\)"),
+        (np.zeros(10), 3, r"of_other_hand"),
+    ],
+)
+def test_what_is_no_beta_is_refused(laptop, beta, hands, message):
+    with pytest.raises(InputError, match=message):
+        laptop[1].of_beta(beta, hands)
+
+
+def test_what_makes_a_bank_names_all_that_it_needs():
+    own = replace(get_category("laptop"), name="pedal_bin")
+    for part in ("--category SPEC", "--weights W", "--prior P", "--source S", "--unseen U", "pedal_bin"):
+        assert part in train_command(own)
+    assert train_command(get_category("laptop")).startswith("omad train surface --category laptop (")
 
 
 def found_again(laptop, shift: list[float], config: FitConfig) -> np.ndarray:

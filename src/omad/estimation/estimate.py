@@ -20,6 +20,7 @@ from omad.geometry.joint_kinds import Motion
 from omad.geometry.mesh import Mesh, convex_hull
 from omad.geometry.transforms import MIRROR_X
 from omad.model.fitting.posed_object import PosedObject
+from omad.model.surfaces.bank import train_command
 from omad.model.surfaces.surfaces import FittedSurface, PosedSurface, Surfaces
 from omad.objects.category import Category
 from omad.objects.model import ObjectModel
@@ -189,8 +190,8 @@ class Estimate(PoseEstimate):
             return self.in_mirror().to_surface().in_mirror()
         shares = None if self.surfaces is None else self.surfaces.bank.shares
         if self.surfaces is None or shares is None:
-            cure = f"run omad train surface --category {self.category.name}"
-            raise InputError(f"to_surface: whether it helps was not measured for these weights; {cure}")
+            cure = train_command(self.category)
+            raise InputError(f"to_surface: whether it helps was not measured for these weights; run {cure}")
         if not shares.taken.any() or not self.is_finite:
             return self
         began, fitted = time.perf_counter(), self.surface

@@ -22,6 +22,7 @@ from omad.geometry.mesh import Mesh
 from omad.objects.category import Category
 from omad.objects.model import ObjectModel
 
+from ..checkpoint import shipped_categories
 from ..prior import OmadPrior
 from .shares import Shares
 from .template import Template
@@ -103,7 +104,7 @@ class ShapeBank:
     @classmethod
     def load(cls, path: Path, category: Category, prior: OmadPrior) -> Self:
         """Read one that was made with ``prior``. Raises InputError for anything else."""
-        cure = f"make it anew: omad train surface --category {category.name}"
+        cure = f"make it anew: {train_command(category)}"
         arrays = read_arrays(path, "a bank of surfaces", cure)
         with readable(path, "a bank of surfaces", cure):
             assert isinstance(arrays, dict)
@@ -144,6 +145,15 @@ def _meshes(arrays: dict[str, np.ndarray], parts: int) -> list[tuple[Mesh, ...]]
     if not all(mesh.faces.min() >= 0 and mesh.faces.max() < len(mesh.vertices) for mesh in each):
         raise ValueError("faces")
     return [tuple(each[i : i + parts]) for i in range(0, len(each), parts)]
+
+
+def train_command(category: Category) -> str:
+    """What makes a bank, as a person types it; of a category that has no shipped weights all must be named."""
+    if category.name in shipped_categories():
+        return f"omad train surface --category {category.name} (of weights of your own: with --weights W --prior P)"
+    of_own = f"where SPEC is the spec file of {category.name}, W and P are the folders of its weights and their prior"
+    models = "S is its generator, or a folder of models, with --unseen U, others to measure on"
+    return f"omad train surface --category SPEC --weights W --prior P --source S, {of_own}, and {models}"
 
 
 def bank_beside(folder: Path) -> Path | None:

@@ -6,11 +6,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 import torch
 
+from omad.common.arrays import as_numpy
+from omad.common.errors import InputError
 from omad.geometry.mesh import Mesh
 from omad.objects.category import Category
 from omad.objects.pose import ObjectPose
@@ -109,10 +111,25 @@ class Surfaces:
         template = self.bank.template(self.bank.nearest(keypoints, 1)[0][0])
         return _in_metres(template.at(keypoints), unit)
 
-    def of_beta(self, beta: np.ndarray) -> list[tuple[Mesh, ...]]:
-        """The same for shape parameters (B, D)."""
-        keypoints = self._doubles.keypoints(torch.as_tensor(np.asarray(beta, dtype=np.float64))).numpy()
-        return [self.of_keypoints(each) for each in keypoints * self.category.metres_per_unit]
+    def of_beta(self, beta: Any, of_other_hand: Any = False) -> list[tuple[Mesh, ...]]:
+        """The same for shape parameters (B, D), NumPy or torch, or for one object's (D,), which count as a batch of
+        one. ``of_other_hand``: one bool, or (B,), as estimates have it: the mirror image of what ``beta`` says. Raises
+        InputError for other shapes, and for numbers that are not finite."""
+        size, given, hands = self._prior.basis_size, as_numpy(beta), as_numpy(of_other_hand)
+        if given.ndim not in (1, 2) or given.shape[-1] != size or given.dtype.kind not in "iuf":
+            raise InputError(f"beta: shape {given.shape} of {given.dtype}; give numbers ({size},) or (B, {size})")
+        if not np.isfinite(given).all():
+            raise InputError("beta: some numbers are not finite; give those of an estimate")
+        rows = np.atleast_2d(given).astype(np.float64)
+        if hands.dtype != bool or hands.shape not in ((), rows.shape[:1]):
+            raise InputError(f"of_other_hand: shape {hands.shape} of {hands.dtype}; give a bool, or ({len(rows)},)")
+        keypoints = self._doubles.keypoints(torch.as_tensor(rows)).numpy() * self.category.metres_per_unit
+        found = [self.of_keypoints(each) for each in keypoints]
+        mirrored = np.broadcast_to(hands, len(rows))
+        return [
+            tuple(part.mirrored() for part in parts) if other else parts
+            for parts, other in zip(found, mirrored, strict=True)
+        ]
 
     def fitted(
         self, found: PosedObject, covariance: np.ndarray, points: np.ndarray, labels: np.ndarray
