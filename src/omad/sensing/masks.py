@@ -22,6 +22,10 @@ FEW = 64
 """Of fewer numbers an image is one of labels; of more, a picture cut out of its background, say."""
 LONGEST = 35
 """Bits of a run length in COCO's strings; no image has so many pixels."""
+WHOLE, SPECK = 0.95, 0.0005
+"""Shares of the image above and below which a mask is doubtful."""
+MUCH = 0.25
+"""Of a mask, what is much to add to it. Exact masks gain a tenth at most, before noise with holes, too."""
 
 
 def as_mask(values: Any, mask_id: int | None = None) -> np.ndarray:
@@ -171,3 +175,19 @@ def _filled(polygons: Any, height: int, width: int) -> np.ndarray:
             inside[rows] ^= x < crossing[:, None]
         filled |= inside
     return filled
+
+
+def odd_mask(mask: np.ndarray | None, given: np.ndarray | None) -> tuple[str, ...]:
+    """What is odd of a ``mask`` (H, W) bool: it is of the background, or of a speck, or much had to be added to the one
+    that was ``given``."""
+    if mask is None or given is None:
+        return ()
+    share, added = float(mask.mean()), np.count_nonzero(mask) / max(np.count_nonzero(given), 1) - 1
+    if share > WHOLE:
+        return (f"the mask covers {share:.0%} of the image: does it show the object, and not all or the background?",)
+    if share < SPECK:
+        return (f"the mask covers {share:.2%} of the image, hardly anything: does it show the object?",)
+    if added > MUCH:
+        what = f"the mask seems too narrow: thin parts that go on from it were added, {added:.0%} of it"
+        return (f"{what}; see in estimate.png that they are the object's, or give a wider mask",)
+    return ()

@@ -16,7 +16,7 @@ from omad.geometry.transforms import MIRROR_X
 from .camera_files import as_K
 from .foreign.cameras import camera_from
 from .foreign.images import depth_from, image_from, points_from
-from .masks import as_mask
+from .masks import as_mask, odd_mask
 
 MIN_POINTS = 50
 FAR = 100.0
@@ -29,9 +29,6 @@ NEAREST, FEW = 0.05, 0.01
 """Of a cloud: points nearer than this share of its distance along z are wrong, where they are not more than this."""
 NEIGHBOURS = 8
 """Of a point, to tell whether it flies alone."""
-
-WHOLE, SPECK = 0.95, 0.0005
-"""Shares of the image above and below which a mask is doubtful."""
 
 OFF_CENTRE = 0.12
 """Of the image's side, by how much a principal point may be off its middle; of cameras it is by a few per cent, but an
@@ -107,7 +104,7 @@ class Observation:
             raise InputError(f"distortion: is {type(distortion).__name__}; give an omad.geometry.lens.Distortion")
         camera = camera if distortion is None else replace(camera, distortion=distortion)
         measured = depth > 0
-        mask = None if mask is None else as_mask(image_from(mask), mask_id)
+        given = mask = None if mask is None else as_mask(image_from(mask), mask_id)
         if mask is not None and not mask.any():
             raise NothingSeen("mask: is empty, no pixel of it is the object's; check it")
         if mask is not None and mask.shape == depth.shape and not mask.all():
@@ -146,8 +143,8 @@ class Observation:
                 lie = f"distortion: without it {count} of {len(points)} points lie within the image"
                 raise NothingSeen(f"{lie}, at least {MIN_POINTS} are needed; check its coefficients")
             points, pixels = points[kept], pixels[kept].astype(int)
-        warnings = _doubts(camera) + _odd_mask(mask) + warnings
-        seen = cls(points.astype(np.float32), depth, camera, pixels, chosen, warnings, color, every)
+        warnings = _doubts(camera) + odd_mask(mask, given) + warnings
+        seen = cls(points.astype(np.float32), depth, camera, pixels, chosen, warnings, color, every=every)
         return seen.without_strays() if drop_flying else seen
 
     def part(self, index: np.ndarray) -> Self:
@@ -375,16 +372,6 @@ def _flying(points: np.ndarray) -> np.ndarray:
     distances = KDTree(points).query(points, NEIGHBOURS + 1)[0][:, 1:].mean(1) / np.linalg.norm(points, axis=1)
     median = np.median(distances)
     return distances > median + 3 * 1.4826 * np.median(np.abs(distances - median)) + median
-
-
-def _odd_mask(mask: np.ndarray | None) -> tuple[str, ...]:
-    """A mask of the background, or of a speck."""
-    share = 0.5 if mask is None else float(mask.mean())
-    if share > WHOLE:
-        return (f"the mask covers {share:.0%} of the image: does it show the object, and not all or the background?",)
-    if share < SPECK:
-        return (f"the mask covers {share:.2%} of the image, hardly anything: does it show the object?",)
-    return ()
 
 
 def _doubts(camera: Camera) -> tuple[str, ...]:
