@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 import omad
 from omad.data.procedural import generate
 from omad.data.rendering.depth_noise import LEVELS
-from omad.data.rendering.standard_views import View, views_together
+from omad.data.rendering.standard_views import View, standard_view, views_together
 from omad.estimation.estimator import Estimator
 from omad.geometry.rigid import carry, rigid, turned_about
 from omad.model.fitting.energy import RefinementConfig
@@ -114,6 +114,42 @@ def test_a_view_from_elsewhere_is_left_out_and_named(estimator, views):
     assert [warning[:13] for warning in found[0].warnings if "views: " in warning] == ["view 3: views"]
     assert np.abs(found[0].keypoints - pair[0].keypoints).max() < 0.2 * pair[0].keypoint_std.min()
     assert np.allclose(found[0].joints[0].state_std, pair[0].joints[0].state_std, rtol=0.05)
+
+
+def moved(estimator: Estimator, index: int, count: int) -> tuple[list[omad.Observation], np.ndarray, list[View]]:
+    """Views of a moment, before the last of which the lid has moved by 40 degrees."""
+    category, views = estimator.category, moment(estimator, index, count)
+    model, first = generate(category, index, "test", 23), views[0].states
+    states = first - np.sign(first) * np.radians(40)
+    views[-1] = standard_view(model, category, (31, index, count - 1), LEVELS["on"], states)
+    return *observed(views), views
+
+
+def test_a_joint_that_moved_between_two_views_is_told_and_both_are_doubtful(estimator):
+    for index in range(3):
+        observations, T, _ = moved(estimator, index, 2)
+        found = estimator(observations, T_world_camera=T)
+        assert [warning for warning in found[0].warnings if ": joints: alone it says hinge" in warning]
+        assert all(estimate.doubtful for estimate in found)
+
+
+def test_of_three_views_the_one_before_which_a_joint_moved_is_left_out(estimator):
+    observations, T, views = moved(estimator, 0, 3)
+    found, pair = estimator(observations, T_world_camera=T), estimator(observations[:2], T_world_camera=T[:2])
+    assert [warning[:14] for warning in found[0].warnings if "joints: " in warning] == ["view 3: joints"]
+    assert found[0].joint_states == pytest.approx(pair[0].joint_states, abs=np.radians(1))
+    assert found[0].joint_states == pytest.approx(views[0].states, abs=np.radians(5))
+    assert [estimate.doubtful for estimate in found] == [False, False, True]
+
+
+@pytest.mark.parametrize("name", ["laptop", "eyeglasses"])
+def test_views_that_agree_are_not_doubted(name):
+    estimator = Estimator.from_pretrained(name, device="cpu")
+    for index in range(6):
+        observations, T = observed(moment(estimator, index, 3))
+        for estimate in estimator(observations, T_world_camera=T):
+            assert not [warning for warning in estimate.warnings if "views: " in warning or "joints: " in warning]
+            assert [joint.name for joint in estimate.joints_alone] == [joint.name for joint in estimate.joints]
 
 
 def test_what_is_no_such_object_still_gets_an_answer(estimator):

@@ -139,6 +139,8 @@ class Estimate(PoseEstimate):
     """How long each step took: ``network``, ``refinement``."""
     warnings: tuple[str, ...] = ()
     """What a person should know before trusting it."""
+    joints_alone: tuple[JointEstimate, ...] = ()
+    """What this view says of the joints without the others, where it is one of several of one object."""
     surfaces: Surfaces | None = field(default=None, compare=False)
     """Where its surface comes from; without, parts are hulls of keypoints."""
     of_other_hand: bool = False
@@ -158,6 +160,7 @@ class Estimate(PoseEstimate):
             covariance=sign[:, None] * self.covariance * sign,
             labelled=replace(self.labelled, points=self.labelled.points * np.array(MIRROR_X, np.float32)),
             initial=self.initial.mirrored(turning),
+            joints_alone=tuple(joint.mirrored() for joint in self.joints_alone),
             of_other_hand=not self.of_other_hand,
         )
 

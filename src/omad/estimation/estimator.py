@@ -179,14 +179,13 @@ class Estimator:
         moved = moved.mirrored(self.category.turning) if estimate.of_other_hand else moved
         return replace(estimate, **vars(moved), covariance=covariance)
 
-    def _together(
-        self, views: Observation | Sequence[Observation], known: Known, T_world_camera: Any
-    ) -> list[Estimate]:
+    def _together(self, views: Observation | Sequence[Observation], known: Known, poses: Any) -> list[Estimate]:
         if isinstance(views, Observation) or not views:
             raise InputError("T_world_camera: is for several views of one object; give a list of observations with it")
         check_observations(views)
-        rig = Rig.of(T_world_camera, len(views), self.category.metres_per_unit, self.net.prior.learned_basis)
-        return one_answer(self._estimate(views, known, rig=rig)) if len(views) > 1 else self._estimate(views, known)
+        alone = self._estimate(views, known if len(views) == 1 else replace(known, gravity=None))
+        rig = Rig.of(poses, alone, self.net.prior.learned_basis)
+        return one_answer(self._estimate(views, known, rig=rig), alone) if len(views) > 1 else alone
 
     @cached_property
     def _posed(self) -> Poser:
