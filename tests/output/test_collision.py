@@ -1,5 +1,6 @@
 """Bodies for simulators: convex, hollow, and apart in every state; held to SciPy's linear programming."""
 
+from dataclasses import replace
 from xml.etree import ElementTree
 
 import numpy as np
@@ -9,7 +10,7 @@ from scipy.optimize import linprog
 from scipy.spatial import ConvexHull
 
 from omad.data.procedural import generate
-from omad.geometry.convex import ConvexBody, convex_bodies, overlap
+from omad.geometry.convex.bodies import ConvexBody, convex_bodies, overlap
 from omad.geometry.mesh import Mesh, merge_meshes
 from omad.objects.category_file import get_category
 from omad.objects.urdf import write_urdf
@@ -55,6 +56,43 @@ def test_a_ring_stays_open_and_details_are_left_out():
     plate, key = trimesh.creation.box([1, 1, 0.1]), trimesh.creation.box([0.1, 0.1, 0.12])
     both = merge_meshes([solid(plate), solid(key)])
     assert [len(convex_bodies(both, flush)) for flush in (0.02, 0.0)] == [1, 2]
+
+
+def test_an_open_box_comes_apart_into_its_walls():
+    hollow = trimesh.creation.box([0.9, 0.9, 0.95], trimesh.transformations.translation_matrix([0, 0, 0.05]))
+    box = trimesh.boolean.difference([trimesh.creation.box([1, 1, 1]), hollow], engine="manifold")
+    bodies = convex_bodies(solid(box), 0.0)
+    assert len(bodies) == 5
+    assert sum(body.volume for body in bodies) == pytest.approx(box.volume, rel=1e-3)
+    inside = 0.4 * np.random.default_rng(0).uniform(-1, 1, (200, 3))
+    assert not any(body.holds(point[None], 0.0) for body in bodies for point in inside)
+
+
+def test_what_is_not_closed_is_its_hull():
+    lid_off = trimesh.creation.box([1, 1, 1])
+    lid_off.update_faces(np.arange(len(lid_off.faces)) > 1)
+    (body,) = convex_bodies(solid(lid_off), 0.0)
+    assert body.volume == pytest.approx(1)
+
+
+@pytest.mark.parametrize("name", ["microwave", "lidded_box", "trash_can", "suitcase", "refrigerator", "stapler"])
+def test_bodies_fill_no_hollow_and_keep_their_parts(name):
+    model = generate(get_category(name), 1, "test")
+    bodies = collision_bodies(model)
+    for part, of_part in zip(model.parts, bodies, strict=True):
+        volume = trimesh.Trimesh(part.vertices, part.faces, process=False).volume
+        assert 0.85 * volume < sum(body.volume for body in of_part) < 1.2 * volume
+
+
+def test_room_is_made_for_possible_states_alone():
+    stapler = generate(get_category("stapler"), 1, "test")
+    states = np.array([[0.0, 0.0], [0.5, 0.5], [0.5, 0.6], [0.0, 0.1]])
+    assert stapler.possible(states).tolist() == [True, True, False, False]
+    assert stapler.possible(states, [1]).all()
+    kept, free = (
+        sum(body.volume for body in collision_bodies(model)[0]) for model in (stapler, replace(stapler, at_most=()))
+    )
+    assert kept > 1.2 * free
 
 
 @pytest.mark.parametrize("name", ["laptop", "dishwasher", "drawer", "scissors"])

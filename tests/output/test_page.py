@@ -192,7 +192,7 @@ def said_in_browser(tmp_path_factory) -> dict:
     if BROWSER is None:
         pytest.skip("no Chromium or Chrome on the path: the page was not opened")
     folder, frames = tmp_path_factory.mktemp("browser"), GATHER
-    for name in CATEGORIES:
+    for name in (*CATEGORIES, "stapler"):
         text = page(name).replace("<title>", CATCH + "<title>", 1).replace("</body>", ACT + "</body>")
         (folder / f"{name}.html").write_text(text, encoding="utf-8")
         frames += f'<iframe name="{name}" src="{name}.html" width="420" height="900"></iframe>'
@@ -242,6 +242,15 @@ def test_in_a_browser(name, said_in_browser):
         travel = f"{round(100 * joint['fraction']) + 0} %"
         assert travel in said_of_it.split("\t")  # as JSON and the command have it
         assert f"{shown}, {travel}" in said_of_it  # and the slider, which stands there
+
+
+def test_a_slider_takes_along_what_goes_no_further_than_it(said_in_browser):
+    joints, steps = data_of(page("stapler"))["joints"], said_in_browser["stapler"]["steps"]
+    assert [joint["at_most"] for joint in joints] == [None, 0]
+    lid, magazine = np.array([step["states"] for step in steps]).T
+    moved = slice(1, 5)  # the lid to both ends, then the magazine
+    assert np.ptp(lid[moved]) > 1
+    assert (magazine[moved] <= np.maximum(lid[moved], joints[1]["limits"][0]) + 1e-9).all()
 
 
 def expected_axis(data: dict, states: list[float], joint: dict) -> np.ndarray:

@@ -13,6 +13,7 @@ import pytest
 import omad
 from omad.data.procedural import generate
 from omad.data.rendering.standard_views import standard_view
+from omad.data.rendering.viewpoints import keep_possible
 from omad.model.checkpoint import shipped_categories
 from omad.objects.category_file import get_category
 from omad.output.formats import save_formats
@@ -60,6 +61,7 @@ def some_states(model, estimate: omad.Estimate) -> np.ndarray:
     """(N, J) rest, the estimate and others, all within the limits."""
     limits = model.jnt_range.T
     drawn = np.random.default_rng(0).uniform(*limits, (STATES, model.nq))
+    keep_possible(drawn, limits.T, estimate.category.joints)
     return np.clip(np.concatenate([np.zeros((1, model.nq)), estimate.joint_states[None], drawn]), *limits)
 
 

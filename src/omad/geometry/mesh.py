@@ -73,12 +73,13 @@ def convex_hull(points: np.ndarray) -> Mesh:
     """Convex hull, oriented outward; a flat set of points is given a little thickness first."""
     from scipy.spatial import ConvexHull, QhullError  # slow to import
 
+    options = "Qt Q12"  # where points are cut from planes, facets merge by more than rounding, and are right
     try:
-        hull = ConvexHull(points)
+        hull = ConvexHull(points, qhull_options=options)
     except QhullError:
         size = 1e-3 * max(float(np.ptp(points, axis=0).max()), 1e-3)
         points = np.concatenate([points + size * corner for corner in np.vstack([np.eye(3), -np.eye(3)])])
-        hull = ConvexHull(points)
+        hull = ConvexHull(points, qhull_options=options)
     used, faces = np.unique(hull.simplices, return_inverse=True)
     vertices, faces = points[used].astype(np.float64), faces.reshape(-1, 3)
     inward = (triangle_normals(vertices[faces]) * hull.equations[:, :3]).sum(1) < 0

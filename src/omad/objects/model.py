@@ -1,6 +1,6 @@
 """Object models: part meshes in canonical space at rest, and the joints that move them."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Self
 
@@ -70,6 +70,8 @@ class ObjectModel:
     """(J, 3) float64 metres, canonical space; any point (the origin) where the axis has no place."""
     limits: np.ndarray
     """(J, 2) float64 radians or metres, zero is the rest state."""
+    at_most: tuple[int | None, ...] = ()
+    """Per joint, another one than which it does not go further; none where empty."""
 
     @classmethod
     def of(
@@ -88,7 +90,17 @@ class ObjectModel:
         limits = category.metric_limits if limits is None else limits
         links, joints = (tuple(each.name for each in specs) for specs in (category.parts, category.joints))
         axes, pivots = np.asarray(axes), np.asarray(pivots)
-        return cls(name, category.name, links, tuple(parts), joints, tree, axes, pivots, limits)
+        at_most = tuple(joint.at_most for joint in category.joints)
+        return cls(name, category.name, links, tuple(parts), joints, tree, axes, pivots, limits, at_most)
+
+    def possible(self, states: np.ndarray, joints: Sequence[int] | None = None) -> np.ndarray:
+        """(S,) bool: in which of states (S, J) no joint goes further than the one that it must not (``at_most``), where
+        both are of ``joints``; the others may be anywhere. Default: all."""
+        possible, told = np.ones(len(states), dtype=bool), range(len(self.axes)) if joints is None else joints
+        for joint, other in enumerate(self.at_most):
+            if other is not None and joint in told and other in told:
+                possible &= states[:, joint] <= states[:, other].clip(*self.limits[joint]) + 1e-9
+        return possible
 
     def part_transforms(self, states: np.ndarray, T_camera_base: np.ndarray | None = None) -> np.ndarray:
         """(K, 4, 4) canonical -> camera (or base, if no pose is given) for joint states (J,)."""

@@ -74,6 +74,7 @@ def page_data(
         | {"limits": _rounded(joint.limits, 6), "axis": _rounded(joint.axis, 6), "pivot": _rounded(joint.pivot, 5)}
         | {"initial_state": _rounded(before.state, 6), "initial_axis": _rounded(before.axis, 6)}
         | {"initial_pivot": _rounded(before.pivot, 5), "parent": category.tree.parents[j]}
+        | {"at_most": category.joints[j].at_most}
         | {"canonical_axis": _rounded(estimate.canonical_axes[j], 9)}
         | {"canonical_pivot": _rounded(estimate.canonical_pivots[j], 7)}
         | {"true_state": None if truth is None else _rounded(truth.states[j], 6)}

@@ -10,7 +10,7 @@ from typing import Self
 import numpy as np
 import torch
 
-from omad.geometry.convex import ConvexBody, convex_bodies, overlap
+from omad.geometry.convex.bodies import ConvexBody, convex_bodies, overlap
 from omad.geometry.kinematics import part_transforms
 from omad.geometry.rigid import box, carry
 from omad.objects.model import ObjectModel
@@ -19,7 +19,7 @@ GAP = 0.002
 """Of the object's diagonal: what bodies of two parts keep between them."""
 FLUSH = 0.008
 """Of the object's diagonal: details that stand out less are no bodies of their own."""
-MOST = 40
+MOST = 80
 """Bodies a part."""
 SLICES = 12
 """Of a part whose bodies are cut locally, along its longest side."""
@@ -64,13 +64,14 @@ def _between(model: ObjectModel, first: int, second: int) -> list[int]:
 
 
 def _relative(model: ObjectModel, first: int, second: int, moving: list[int]) -> np.ndarray:
-    """(S, 4, 4) from the second part's canonical coordinates to the first one's, over all states of the joints
+    """(S, 4, 4) from the second part's canonical coordinates to the first one's, over all possible states of the joints
     ``moving``."""
     steps = SINGLE if len(moving) == 1 else DOUBLE if len(moving) == 2 else 5
     each = (np.linspace(low, high, steps) for low, high in model.limits[moving])
     tried = np.stack(np.meshgrid(*each, indexing="ij"), -1)
     states = np.repeat(np.clip(0.0, *model.limits.T)[None], tried[..., 0].size, 0)
     states[:, moving] = tried.reshape(len(states), -1)
+    states = states[model.possible(states, moving)]
     fixed = (np.repeat(each[None], len(states), 0) for each in (model.axes, model.pivots, np.eye(4)))
     axes, pivots, base = map(torch.as_tensor, fixed)
     T = part_transforms(model.tree, axes, pivots, torch.as_tensor(states), base).numpy()

@@ -7,13 +7,9 @@ from functools import cached_property
 
 import numpy as np
 
-from .mesh import Mesh, convex_hull, triangle_normals
-from .rigid import box
-
-CONCAVE = 1.3
-"""A hull this many times as large as its solid is cut in two."""
-CUTS = 16
-"""Bodies that one solid is cut into at most."""
+from ..mesh import Mesh, convex_hull, triangle_normals
+from ..rigid import box
+from .pieces import convex_pieces
 
 
 @dataclass(frozen=True)
@@ -106,7 +102,8 @@ def overlap(first: ConvexBody, second: ConvexBody, gap: float) -> Overlap | None
 def convex_bodies(mesh: Mesh, flush: float) -> list[ConvexBody]:
     """A mesh as convex bodies, largest first: a hull a connected solid, or several where the solid is hollow or bent.
     What sticks out of another body by no more than ``flush`` is left out."""
-    bodies = sorted((body for solid in _solids(mesh) for body in _cut_up(solid)), key=lambda body: -body.volume)
+    pieces = (ConvexBody.around(piece) for solid in _solids(mesh) for piece in convex_pieces(solid))
+    bodies = sorted(pieces, key=lambda body: -body.volume)
     kept: list[ConvexBody] = []
     for body in bodies:
         if not any(other.holds(body.vertices, flush) for other in kept):
@@ -125,20 +122,3 @@ def _solids(mesh: Mesh) -> list[np.ndarray]:
     graph = coo_matrix((np.ones(len(links)), links.T), shape=(len(mesh.vertices),) * 2)
     piece = connected_components(graph, directed=False)[1][faces[:, 0]]
     return [mesh.triangles[piece == each] for each in np.unique(piece)]
-
-
-def _cut_up(triangles: np.ndarray) -> list[ConvexBody]:
-    """Halves, and halves of the largest half, until their hulls are hardly larger than the solid."""
-    a, b, c = triangles.swapaxes(0, 1)
-    solid = abs(float(np.einsum("fi,fi->", a, np.cross(b, c)))) / 6
-    pieces = [(ConvexBody.around(triangles.reshape(-1, 3)), triangles)]
-    while sum(body.volume for body, _ in pieces) > CONCAVE * solid and len(pieces) < CUTS:
-        _, largest = pieces.pop(int(np.argmax([body.volume if len(own) > 1 else 0.0 for body, own in pieces])))
-        middles = largest.mean(1)
-        order = middles[:, np.ptp(box(middles), axis=0).argmax()].argsort(kind="stable")
-        for half in np.array_split(order, 2):
-            if len(half):
-                pieces.append((ConvexBody.around(largest[half].reshape(-1, 3)), largest[half]))
-        if len(largest) <= 1:
-            break
-    return [body for body, _ in pieces]

@@ -1,0 +1,1 @@
+"""Convex bodies, and solids as several of them."""
