@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from helpers.command_line import LAPTOP, K, answer, laptop_view, refused, save_png
 from omad.data.procedural import generate
@@ -44,6 +45,17 @@ def test_a_wrong_pose_is_doubtful(images, capsys):
     found = answer(capsys, "estimate", *images, "--together", "a.txt", "inverted.txt")["results"]
     assert "views" in {check["name"] for result in found for check in result["checks"]}
     assert all(result["doubtful"] for result in found)  # of two views, either may be the wrong one
+
+
+@pytest.mark.slow
+def test_a_wrong_gravity_is_doubtful_and_a_right_one_is_not(images, capsys):
+    down = -np.linalg.inv(np.loadtxt("a.txt"))[:3, 1]
+    turned = Rotation.from_rotvec([0, 0, np.radians(30)]).apply(down)
+    for gravity, wrong in ((down, False), (turned, True)):
+        told = "--gravity=" + ",".join(map(str, gravity))
+        found = answer(capsys, "estimate", *images, "--together", "a.txt", "b.txt", told)["results"]
+        assert [result["doubtful"] for result in found] == [wrong, wrong]
+        assert ["gravity" in {check["name"] for check in result["checks"]} for result in found] == [wrong, wrong]
 
 
 def test_what_does_not_go_together_is_refused(images, capsys):

@@ -112,11 +112,16 @@ class Solver:
 
     def together(self, views: Sequence[Observation], poses: Sequence[Any], depth_scale: float | None) -> list[Found]:
         """Views of one object, by the category asked for; ``poses`` (4, 4) T_world_camera of each."""
-        assert self.chosen is not None
-        estimates = self.chosen(views, self.known, T_world_camera=np.stack(poses))
+        chosen, T_world_camera = self.chosen, np.stack(poses)
+        assert chosen is not None
+        estimates = chosen(views, self.known, T_world_camera=T_world_camera)
+        # gravity is the first camera's
+        of_all = gravity_doubts(
+            views[0], estimates[0], self.known, lambda _, known: chosen(views, known, T_world_camera=T_world_camera)[0]
+        )
         rows = zip(views, estimates, strict=True)
         return [
-            Found.of(no_surer(e, view.likelihood), [*doubts(view, e, depth_scale), *contradictions(e)])
+            Found.of(no_surer(e, view.likelihood), [*doubts(view, e, depth_scale), *contradictions(e), *of_all])
             for view, e in rows
         ]
 
