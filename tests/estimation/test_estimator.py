@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 import yourdfpy
+from scipy.spatial.transform import Rotation
 
 import omad
 from helpers.categories import CATEGORIES
@@ -160,6 +161,17 @@ def test_waypoints_follow_the_joint(estimator):
     assert np.allclose(path[-1], moved[:3], atol=1e-5)
     with pytest.raises(omad.InputError, match="does not move"):
         estimate.waypoints(estimator.category.parts[0].name, point, target)
+
+
+@pytest.mark.parametrize("degrees", [90, 180, -60])
+def test_gravity_tells_how_a_camera_is_rolled(estimator, degrees):
+    roll = Rotation.from_euler("z", degrees, degrees=True).as_matrix()
+    for view in some_views(estimator, 2):
+        observation, down = observe(view), -view.T_camera_base[:3, 1]
+        level = estimator(observation, omad.Known(gravity=down))
+        rolled = estimator(omad.Observation.from_points(observation.points @ roll.T), omad.Known(gravity=roll @ down))
+        assert np.allclose(rolled.joint_states, level.joint_states, atol=0.05)
+        assert np.allclose(rolled.T_camera_base[:3, :3], roll @ level.T_camera_base[:3, :3], atol=0.05)
 
 
 def test_what_is_known_is_kept_and_helps(estimator):

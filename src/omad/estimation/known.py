@@ -19,6 +19,10 @@ LARGEST = 1e4
 """Of what can be known: radians, metres, numbers of beta."""
 LEAST = 1e-9
 """Length of a direction."""
+ROLLED = np.radians(20)
+"""By more than this a camera is not about level."""
+SEEN_DOWN = 0.2
+"""Share of gravity in the image, below which the camera looks up or down and has no roll."""
 
 
 @dataclass(frozen=True)
@@ -40,6 +44,17 @@ class Known:
     def mirrored(self) -> Self:
         """Of what is seen in a mirror in the camera's plane x = 0."""
         return self if self.gravity is None else replace(self, gravity=as_doubles(self.gravity) * MIRROR_X)
+
+    def levelled(self, frames: Tensor) -> Tensor:
+        """``frames`` (B, 4, 4) with the camera's axes, to look in, turned about the last of these until gravity points
+        down, where the camera is ``ROLLED``: networks know objects as cameras see them that are about level."""
+        if self.gravity is None:
+            return frames
+        x, y, _ = as_doubles(self.gravity) / np.linalg.norm(as_doubles(self.gravity))
+        roll = float(np.arctan2(-x, y))
+        if np.hypot(x, y) < SEEN_DOWN or abs(roll) < ROLLED:
+            return frames
+        return frames @ make_transform(so3_exp(torch.tensor([0.0, 0.0, roll])), torch.zeros(3)).to(frames)
 
     def apply_to(self, start: State, category: Category) -> State:
         """``start`` (category units) with the known values in place of its own."""
