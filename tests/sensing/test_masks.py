@@ -12,7 +12,7 @@ from PIL import Image
 
 from omad.common.errors import InputError
 from omad.geometry.camera import Camera
-from omad.sensing.depth_files import read_mask
+from omad.sensing.depth_files import parse_mask, read_mask
 from omad.sensing.masks import as_mask
 from omad.sensing.observation import Observation
 
@@ -67,6 +67,70 @@ def test_grey_edges_and_pictures_are_no_labels() -> None:
     assert np.array_equal(as_mask(smooth), MASK)
     picture = np.arange(1, 201).reshape(10, 20)
     assert as_mask(picture).all()
+
+
+def several() -> np.ndarray:
+    """Labels of two objects and a small third."""
+    labels = np.where(MASK, 2, 0).astype(np.uint8)
+    labels[0, :5], labels[5, 8] = 1, 3
+    return labels
+
+
+PALETTE = np.array([[0, 0, 0], [128, 0, 0], [0, 128, 0], [128, 128, 0]], np.uint8)
+"""The first colours of PASCAL VOC."""
+
+
+def test_a_palette_holds_labels(tmp_path: Path) -> None:
+    image = Image.fromarray(several())
+    image.putpalette(PALETTE.ravel().tolist())
+    image.save(tmp_path / "palette.png")
+    for read in (read_mask, lambda path, *given: parse_mask(path.read_bytes(), "mask", *given)):
+        with pytest.raises(InputError, match=r"label image of 1, 2, 3; give mask_id \(--mask-id\)"):
+            read(tmp_path / "palette.png")
+        assert np.array_equal(read(tmp_path / "palette.png", 2), MASK)
+
+
+def test_of_two_colours_or_greys_a_palette_is_a_picture(tmp_path: Path) -> None:
+    red = [[0, 0, 0], [200, 30, 30]]
+    smooth = np.where(MASK, 2, 0).astype(np.uint8)
+    smooth[2, 3:7] = 1
+    forms = {
+        "red": (MASK, red, None),
+        "inverted": (~MASK, red[::-1], None),
+        "grey": (smooth, [[0, 0, 0], [128] * 3, [255] * 3], None),
+        "transparent": (MASK, red[:1] * 2, 0),
+    }
+    for name, (numbers, colours, transparent) in forms.items():
+        image = Image.fromarray(numbers.astype(np.uint8))
+        image.putpalette(np.ravel(colours).tolist())
+        image.save(tmp_path / f"{name}.png", transparency=transparent)
+        assert np.array_equal(read_mask(tmp_path / f"{name}.png"), MASK), name
+
+
+@pytest.mark.parametrize("alpha", [None, 255, "varies"])
+def test_several_colours_are_several_objects(alpha: object) -> None:
+    image = PALETTE[several()]
+    if alpha is not None:
+        opaque = several() > 0 if alpha == "varies" else np.ones(MASK.shape, bool)
+        image = np.dstack([image, np.where(opaque, 255, 0).astype(np.uint8)])
+    with pytest.raises(InputError, match=r"several objects, in 3 colours; give a label image .* \(--mask-id\)"):
+        as_mask(image)
+    image[several() != 2] = 0
+    assert np.array_equal(as_mask(image), MASK)
+
+
+def test_shades_of_one_colour_and_pictures_are_one_object() -> None:
+    overlay = np.where(MASK[..., None], [220, 40, 35], 0).astype(np.uint8)
+    overlay[2, 3:7] = [[120, 21, 19], [60, 12, 10], [7, 1, 2], [201, 36, 30]]
+    overlay[4, 3:7] = 230, 230, 200  # a line around it
+    assert np.array_equal(as_mask(overlay), MASK)
+    picture = np.random.default_rng(0).integers(1, 255, (40, 60, 3)) * RING[..., None]
+    assert np.array_equal(as_mask(picture.astype(np.uint8)), RING)
+
+
+def test_a_grey_image_stored_as_colours_is_a_label_image(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="label image of 1, 2, 3"):
+        as_mask(np.repeat(several()[..., None], 3, 2))
 
 
 def test_an_id_picks_one_of_a_label_image(tmp_path: Path) -> None:

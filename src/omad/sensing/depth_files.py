@@ -1,6 +1,7 @@
 """Reading depth images, clouds and masks as people have them."""
 
 import io
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from omad.common.incoming import (
 )
 from omad.common.limits import check_limit
 
-from .masks import as_mask
+from .masks import as_mask, of_palette
 
 ARRAY_FORMATS = (".npy", ".npz")
 DEPTH_FORMATS = (".png", ".tif", ".tiff", *ARRAY_FORMATS)
@@ -96,7 +97,7 @@ def read_mask(path: str | Path, mask_id: int | None = None) -> np.ndarray:
         return _checked_mask(read_json(path, "export it again"), path, mask_id)
     if path.suffix.lower() in ARRAY_FORMATS:
         return _checked_mask(read_array(path, "mask"), path, mask_id)
-    stored = read_image(path, path, _mask_mode(mask_id))
+    stored = _colours_or_labels(lambda mode: read_image(path, path, mode), mask_id)
     if path.suffix.lower() in LOSSY:
         stored = _without_loss(stored, path, mask_id)
     return _checked_mask(stored, path, mask_id)
@@ -106,14 +107,19 @@ def parse_mask(stored: bytes, name: str, mask_id: int | None = None) -> np.ndarr
     """What ``read_mask`` reads, of a file's bytes; ``name``: of it in messages. Raises InputError."""
     if stored.lstrip()[:1] == b"{":
         return _checked_mask(parse_json(stored, name), name, mask_id)
-    found = parse_stored(stored, "mask", name, _mask_mode(mask_id))
+    found = _colours_or_labels(lambda mode: parse_stored(stored, "mask", name, mode), mask_id)
     if stored.startswith(JPEG_MAGIC):
         found = _without_loss(found, name, mask_id)
     return _checked_mask(found, name, mask_id)
 
 
-def _mask_mode(mask_id: int | None) -> str | None:
-    return "RGBA" if mask_id is None else None
+def _colours_or_labels(read: Callable[[str | None], np.ndarray], mask_id: int | None) -> np.ndarray:
+    """An image, which ``read`` gives in a mode, as ``as_mask`` takes it: one with a palette holds labels, mostly."""
+    stored = read("RGBA" if mask_id is None else None)
+    if mask_id is not None or stored.ndim < 3:
+        return stored
+    numbers = read(None)  # (H, W) of a palette alone
+    return of_palette(numbers, stored) if numbers.ndim == 2 else stored
 
 
 def _checked_mask(stored: Any, name: str | Path, mask_id: int | None) -> np.ndarray:

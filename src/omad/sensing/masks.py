@@ -20,6 +20,11 @@ LISTED = 12
 """Ids that an error lists at most."""
 FEW = 64
 """Of fewer numbers an image is one of labels; of more, a picture cut out of its background, say."""
+GREY, SAME_HUE = 0.15, 0.25
+"""Of a colour, by what share of its brightest channel the others are below it where it is grey, and by how much these
+shares differ between shades of one colour."""
+DARK = 0.25
+"""What is not so bright, of the brightest colour, has hardly any hue."""
 LONGEST = 35
 """Bits of a run length in COCO's strings; no image has so many pixels."""
 WHOLE, SPECK = 0.95, 0.0005
@@ -33,7 +38,8 @@ def as_mask(values: Any, mask_id: int | None = None) -> np.ndarray:
 
     - numbers (H, W), (1, H, W), (1, 1, H, W) or (H, W, 1), NumPy or torch: what is not zero, or with ``mask_id`` what
       has that number, which label images need. Floats between 0 and 1 are probabilities, and one half is enough;
-    - colours (H, W, 3): what is not black. (H, W, 4): where the alpha channel varies it is the mask, else the colours;
+    - colours (H, W, 3): what is not black, of one colour or a picture; grey ones are numbers. (H, W, 4): where the
+      alpha channel varies it is the mask, else the colours;
     - a COCO segmentation, a mapping with ``size`` (H, W) and ``counts``, compressed or not, or ``polygons``, rows of
       x, y, x, y ... in pixels; or an annotation that has it under ``segmentation``.
 
@@ -63,13 +69,53 @@ def as_mask(values: Any, mask_id: int | None = None) -> np.ndarray:
     return stored if stored.dtype == bool else _of_one_thing(stored)
 
 
+def of_palette(numbers: np.ndarray, colours: np.ndarray) -> np.ndarray:
+    """What ``as_mask`` is to take for an image with a palette, whose ``numbers`` (H, W) stand for ``colours``
+    (H, W, 4): mostly the numbers, which are labels. They may be any in a picture with transparency, in a grey one and
+    where there are but two, of which black is the background."""
+    shades, alpha = colours[..., :3], colours[..., 3]
+    if alpha.min() < alpha.max():
+        return colours
+    if (shades == shades[..., :1]).all():
+        return shades[..., 0]
+    black = ~shades.any(-1)
+    return colours if len(np.unique(numbers)) <= 2 and black.any() else numbers
+
+
 def _of_colours(image: np.ndarray) -> np.ndarray:
-    """Alpha where it tells pixels apart, else what is not black."""
+    """Alpha where it tells pixels apart, else what is not black; numbers of a grey image."""
     colours, alpha = image[..., :3], image[..., 3:]
     if alpha.size and alpha.min() < alpha.max():
         opaque = OPAQUE if image.dtype.kind in "iu" and alpha.max() > 1 else INSIDE
-        return np.greater_equal(alpha[..., 0], opaque)
-    return np.asarray(colours.any(-1))
+        inside = np.greater_equal(alpha[..., 0], opaque)
+        _check_one_thing(colours[inside])
+        return inside
+    if image.dtype.kind in "iu" and (colours == colours[..., :1]).all():
+        return colours[..., 0]
+    inside = np.asarray(colours.any(-1))
+    _check_one_thing(colours[inside])
+    return inside
+
+
+def _check_one_thing(colours: np.ndarray) -> None:
+    """Raises InputError where few (N, 3) ``colours``, as a picture does not have, are of several hues: then each is an
+    object's. Shades of one are its smooth edge, and greys are lines between objects."""
+    levels = np.rint(255.0 / (colours.max(initial=0) or 1) * colours).astype(int)
+    codes, counts = np.unique(levels[~_is_grey(levels)] @ (1 << 16, 1 << 8, 1), return_counts=True)
+    if not 1 < len(codes) < FEW:
+        return
+    shades = np.bitwise_and(np.right_shift(codes[:, None].astype(int), (16, 8, 0)), 255)
+    bright = shades.max(1) >= DARK * shades.max()
+    hues = shades / shades.max(1, keepdims=True)
+    if (np.abs(hues - hues[counts.argmax()]).max(1) > SAME_HUE)[bright].any():
+        cure = "give a label image of one channel with mask_id (--mask-id), or a mask of one colour"
+        raise InputError(f"mask: shows several objects, in {len(codes)} colours; {cure}")
+
+
+def _is_grey(colours: np.ndarray) -> np.ndarray:
+    """Which of (..., 3)."""
+    high = colours.max(-1)
+    return high - colours.min(-1) <= GREY * high
 
 
 def _one_channel(image: np.ndarray) -> np.ndarray:
