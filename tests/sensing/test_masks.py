@@ -164,6 +164,33 @@ def test_masks_of_segmenters_are_taken_as_they_come() -> None:
     assert np.array_equal(as_mask(np.where(MASK, 0.9, np.nan)), MASK)
 
 
+@pytest.mark.parametrize("form", [MASK, torch.tensor(MASK)[None], MASK.astype(np.uint8)])
+def test_an_annotation_may_hold_an_array(form: object) -> None:
+    assert np.array_equal(as_mask({"segmentation": form, "area": 12, "bbox": [3, 2, 4, 3]}), MASK)
+
+
+def test_an_annotation_of_a_whole_file(tmp_path: Path) -> None:
+    ring = {"id": 5, "image_id": 1, "segmentation": {"size": [40, 60], "counts": RING_COUNTS}}
+    triangle = {"id": 8, "image_id": 2, "segmentation": [[1, 1, 9, 1, 1, 9]]}
+    images = [{"id": 1, "height": 40, "width": 60}, {"id": 2, "height": 20, "width": 30}]
+    for number, file in enumerate([{"images": images, "annotations": [ring]}, {"image": {}, "annotations": [ring]}]):
+        (tmp_path / f"{number}.json").write_text(json.dumps(file))
+        assert np.array_equal(read_mask(tmp_path / f"{number}.json"), RING)
+    both = {"images": images, "annotations": [ring, triangle]}
+    assert np.array_equal(as_mask(both, 5), RING)
+    assert as_mask(both, 8).shape == (20, 30)
+    with pytest.raises(InputError, match="ids 5, 8"):
+        as_mask(both, 6)
+
+
+def test_floats_that_are_whole_numbers_are_as_integers() -> None:
+    labels = np.where(MASK, 3.0, 7.0)
+    assert np.array_equal(as_mask(labels, 3), MASK)
+    smooth = np.where(MASK, 255.0, 0.0)
+    smooth[2, 3:6] = 60, 128, 200
+    assert np.array_equal(as_mask(smooth), MASK)
+
+
 def test_a_string_that_goes_on_for_ever_is_refused_at_once() -> None:
     with pytest.raises(InputError, match="no string of COCO run lengths"):
         as_mask({"size": [40, 60], "counts": "o" * 10_000_000})
@@ -191,6 +218,15 @@ def test_polygons() -> None:
         ({"size": [6, 9], "counts": "W>7P12N"}, "run lengths"),
         ({"size": [6, 9], "segmentation": [[1, 2, 3, 4]]}, "three corners"),
         ({"annotations": [], "images": []}, "size"),
+        ({"annotations": [], "images": []}, '"annotations" holds none'),
+        ({"annotations": [{"id": 4}, {"id": 7}]}, r"with the ids 4, 7; give mask_id \(--mask-id\)"),
+        ({"annotations": [{"id": 4, "segmentation": [[1, 1, 9, 1, 1, 9]]}]}, "size"),
+        ({"annotations": 3}, "annotations"),
+        ({"size": [6, 9], "polygons": 5}, "three corners"),
+        ({"size": [6, 9], "polygons": None}, "three corners|no list of numbers|NaN"),
+        ({"size": [6, 9], "polygons": ["abc"]}, "no list of numbers"),
+        ({"size": [6, 9], "polygons": [[1, 1, 5, 1, 1, float("nan")]]}, "NaN"),
+        (np.where(MASK, 3.0, 7.0), r"label image of 3, 7; give mask_id \(--mask-id\)"),
     ],
 )
 def test_what_is_no_mask_is_refused_with_the_cure(wrong: object, cure: str) -> None:

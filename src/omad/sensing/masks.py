@@ -41,11 +41,12 @@ def as_mask(values: Any, mask_id: int | None = None) -> np.ndarray:
     - colours (H, W, 3): what is not black, of one colour or a picture; grey ones are numbers. (H, W, 4): where the
       alpha channel varies it is the mask, else the colours;
     - a COCO segmentation, a mapping with ``size`` (H, W) and ``counts``, compressed or not, or ``polygons``, rows of
-      x, y, x, y ... in pixels; or an annotation that has it under ``segmentation``.
+      x, y, x, y ... in pixels; or an annotation that has it, or an array as above, under ``segmentation``; or a file
+      of ``annotations``, of which ``mask_id`` is one's id, where there are several.
 
     Raises InputError for logits, for several masks or labels in one, and for what is none of these."""
     if isinstance(values, Mapping):
-        return _decoded(values)
+        return _decoded(_annotation(values, mask_id))
     try:
         stored = as_numpy(values)
     except (TypeError, ValueError, RuntimeError) as error:  # ragged lists
@@ -148,19 +149,43 @@ def _listed(ids: np.ndarray) -> str:
 
 
 def _likely(values: np.ndarray) -> np.ndarray:
-    """Of floats: probabilities, or zero and one other number. NaN is nothing."""
+    """Of floats: probabilities, zero and one other number, or what integers may be. NaN is nothing."""
     values = np.where(np.isnan(values), 0, values)
     low, high = values.min(initial=0), values.max(initial=0)
     if low >= 0 and high <= 1:
         return values >= INSIDE
+    if low >= 0 and high < np.iinfo(np.int64).max and (values == np.rint(values)).all():
+        return _of_one_thing(values.astype(np.uint8 if high <= 255 else np.int64))
     if low == 0 and ((values == 0) | (values == high)).all():
         return values != 0
     raise InputError(f"mask: floats from {low:.3g} to {high:.3g} look like logits; pass mask > 0 of logits")
 
 
+def _annotation(coco: Mapping[str, Any], mask_id: int | None) -> Mapping[str, Any]:
+    """One annotation of a COCO file, the only one or that with the id ``mask_id``, with its image's size; what is no
+    file as it is."""
+    if "annotations" not in coco:
+        return coco
+    found = coco["annotations"]
+    if not isinstance(found, Sequence) or not found or not all(isinstance(one, Mapping) for one in found):
+        raise InputError('mask: "annotations" holds none; give one with its "segmentation", or "size" and "counts"')
+    chosen = [one for one in found if one.get("id") == mask_id] if mask_id is not None else found
+    if len(chosen) != 1:
+        ids = ", ".join(str(one.get("id")) for one in found[:LISTED]) + (", ..." if len(found) > LISTED else "")
+        told = f"{len(found)} with the ids {ids}; give mask_id (--mask-id), or one of them"
+        raise InputError(f'mask: "annotations" holds {told}')
+    images = coco.get("images", coco.get("image", ()))
+    listed = images if isinstance(images, list) else [images]
+    its = [one for one in listed if isinstance(one, Mapping) and one.get("id") == chosen[0].get("image_id")]
+    sizes = [(one.get("height"), one.get("width")) for one in its]
+    return {"size": sizes[0] if sizes else (), **chosen[0]}
+
+
 def _decoded(coco: Mapping[str, Any]) -> np.ndarray:
     """(H, W) bool of a COCO segmentation or annotation."""
     found = coco.get("segmentation", coco)
+    if hasattr(found, "shape") and not coco.get("size"):  # of a network that speaks of its masks as COCO does
+        return as_mask(found)
     if not isinstance(found, Mapping):
         found = {"polygons": found, "size": coco.get("size", ())}
     size = np.asarray(found.get("size", ()), dtype=object).ravel().tolist()
@@ -209,8 +234,13 @@ def _filled(polygons: Any, height: int, width: int) -> np.ndarray:
     """(H, W) bool, pixels whose centres are inside any of the polygons; pixel (0, 0) reaches from 0 to 1."""
     filled = np.zeros((height, width), dtype=bool)
     x, y = np.arange(width) + 0.5, np.arange(height) + 0.5
-    for polygon in polygons:
-        corners = np.asarray(polygon, dtype=float).ravel()
+    for polygon in polygons if isinstance(polygons, Sequence | np.ndarray) else [polygons]:
+        try:
+            corners = np.asarray(polygon, dtype=float).ravel()
+        except (TypeError, ValueError) as error:
+            raise InputError("mask: a polygon is no list of numbers; give x, y, x, y ... in pixels") from error
+        if not np.isfinite(corners).all():
+            raise InputError("mask: a polygon holds NaN or infinity; give x, y, x, y ... in pixels")
         if len(corners) < 6 or len(corners) % 2:
             raise InputError(f"mask: a polygon of {len(corners)} numbers; give x, y, x, y ... of three corners or more")
         inside = np.zeros_like(filled)
