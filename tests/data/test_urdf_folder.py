@@ -10,7 +10,7 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from helpers.categories import CATEGORIES, CHEST, DISHWASHER, LAPTOP
+from helpers.categories import CATEGORIES, CHEST, DISHWASHER, EVERY, LAPTOP
 from helpers.kinematics_by_yourdfpy import largest_gap
 from helpers.same_models import assert_same
 from omad.common.errors import InputError
@@ -285,6 +285,33 @@ def test_objects_that_do_not_fit_are_refused_in_one_line(change, named, tmp_path
         import_model(tmp_path, DISHWASHER)
     assert str(tmp_path) in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def knobs_alone(root) -> None:
+    renamed({"door": "knob_0"})(root)
+    extra_joint(root, "second", "body", "knob_1", "continuous")
+    box_link(root, "knob_1", (0.2, 0.1, 0), (0.22, 0.12, 0.03))
+
+
+def test_what_is_to_be_handled_is_no_door(tmp_path):
+    """But where the spec calls a part so."""
+    file = write_urdf(plain_dishwasher(), tmp_path)
+    knobs = edited(file, knobs_alone)
+    with pytest.raises(InputError, match=r"has no door: it has 'knob_0', 'knob_1' instead; .*aliases") as refusal:
+        import_model(knobs, DISHWASHER)
+    assert "equally" not in str(refusal.value)
+    body, door = DISHWASHER.parts
+    with_knob = replace(DISHWASHER, parts=(body, replace(door, aliases=("knob_0",))))
+    assert_same(import_model(knobs, with_knob), import_model(file, with_knob), 1e-9, 1e-9)
+
+
+def test_who_gave_a_category_with_too_few_parts_is_told_which_fits(tmp_path):
+    two_doors, drawers = generate(EVERY["refrigerator_two_doors"], 0), generate(EVERY["drawer_5"], 0)
+    for model, name in ((two_doors, "refrigerator"), (drawers, "drawer")):
+        file = write_urdf(model, tmp_path / name)
+        with pytest.raises(InputError, match=f"equally well; .* give --category {model.category}"):
+            import_model(file, EVERY[name])
+        assert import_model(file, EVERY[model.category]).category == model.category
 
 
 def test_a_folder_gives_models_and_reasons(tmp_path):

@@ -196,6 +196,8 @@ SLIPS = {
     "no unit": ("metres_per_unit = 0.3\n", "", "metres_per_unit"),
     "unit zero": ("= 0.3", "= 0", "metres_per_unit"),
     "unit not finite": ("= 0.3", "= nan", "metres_per_unit"),
+    "unit in millimetres": ("= 0.3", "= 300", "metres_per_unit: is 300; give metres, from 0.001 to 10"),
+    "unit too small": ("= 0.3", "= 0.0003", "metres_per_unit"),
     "unit true": ("= 0.3", "= true", "metres_per_unit"),
     "unit a word": ("= 0.3", '= "0.3"', "metres_per_unit"),
     "misspelt": ("metres_per_unit", "meters_per_unit", "meters_per_unit"),

@@ -20,6 +20,8 @@ SLIDING_REST_RULES: tuple[RestRule, ...] = ("closed", "zero")
 """Those that make sense for a joint that does not turn."""
 LARGEST = 1e4
 """Of a length in metres, an angle, a number of units."""
+SMALLEST_UNIT, LARGEST_UNIT = 1e-3, 10.0
+"""Metres that a category unit, about the radius of its objects, may have: beyond are lengths in another unit."""
 LONGEST_NAME = 100
 LONGEST_SIDE = 2.0
 """Of a part, as a share of the object's diagonal; 1 is the most that can be."""
@@ -237,8 +239,9 @@ def check_unit(metres_per_unit: float) -> None:
     """Raises ValueError for a length that nothing can be measured in."""
     if not 0 < metres_per_unit < math.inf:
         raise ValueError(f"metres_per_unit: is {metres_per_unit}; give a number above 0")
-    if not 1 / LARGEST <= metres_per_unit <= LARGEST:
-        raise ValueError(f"metres_per_unit: is {metres_per_unit}; no object is so small or so large")
+    if not SMALLEST_UNIT <= metres_per_unit <= LARGEST_UNIT:
+        cure = f"give metres, from {SMALLEST_UNIT:g} to {LARGEST_UNIT:g}: about the radius of such an object"
+        raise ValueError(f"metres_per_unit: is {metres_per_unit:g}; {cure}")
 
 
 def _check_name(name: str) -> None:

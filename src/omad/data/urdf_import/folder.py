@@ -1,6 +1,7 @@
 """Object models from folders of URDFs: plain ones in metres, and PartNet-Mobility's normalised ones."""
 
 import os
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -8,12 +9,14 @@ import numpy as np
 
 from omad.common.errors import InputError
 from omad.common.incoming import as_path, readable
+from omad.objects.builtin import builtin_names
 from omad.objects.category import Category
+from omad.objects.category_file import get_category
 from omad.objects.model import ObjectModel, odd_size
 
 from . import partnet
 from .alignment import align
-from .articulation import read_articulation
+from .articulation import RawArticulation, read_articulation
 from .links import label_parts
 from .shapes import MissingMeshes
 
@@ -112,13 +115,33 @@ def _imported(
     try:
         aligned = align(label_parts(raw, category), category)
     except InputError as error:
-        raise InputError(f"{file}: not usable as {category.name}: {error}") from error
+        others = _fitting(raw, category, file.parent if normalised else None)
+        cure = f"; give --category {' or '.join(others)}, which it fits" if others else ""
+        raise InputError(f"{file}: not usable as {category.name}: {error}{cure}") from error
     notes += ["is the other way round than the spec says: taken as its mirror image"] if aligned.mirrored else []
     if odd := odd_size(aligned.model.diagonal, category):
         notes.append(f"{odd}: look at --scale, the metres per unit of its file")
     if stated.skipped:
         notes.append(f"is taken without {len(stated.skipped)} of its mesh files, which are missing")
     return ImportedModel(replace(aligned.model, name=object_name(path)), notes, _up(aligned.R_canonical_source))
+
+
+def _fitting(raw: RawArticulation, category: Category, partnet_folder: Path | None) -> list[str]:
+    """Shipped categories with another number of such parts, as their aliases tell, that a model fits which does not fit
+    the ``category``."""
+    found, aliases = [], {alias for part in category.parts[1:] for alias in part.aliases}
+    for other in map(get_category, builtin_names()):
+        alike = all(aliases.intersection(part.aliases) for part in other.parts[1:])
+        if alike and len(other.parts) != len(category.parts):
+            with suppress(InputError):
+                if partnet_folder is not None:
+                    partnet.check_source_name(partnet_folder, other)
+                align(label_parts(raw, other), other)
+                found.append(other)
+    # those first of which data sets speak as they do of this one, and that take most of the model's parts
+    akin = {*category.source_names}
+    found.sort(key=lambda other: (akin.isdisjoint(other.source_names), -len(other.parts)))
+    return [other.name for other in found]
 
 
 def _up(R_canonical_source: np.ndarray) -> str | None:

@@ -1,5 +1,6 @@
 """Which links of a foreign model are the category's parts: by name, by joint structure, then by size."""
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from math import perm, prod
@@ -22,6 +23,8 @@ COMPARABLE = 0.6
 
 MOST_WAYS = 50_000
 """To choose links for the joints: a keyboard is no chest of drawers."""
+CONTROLS = {"knob", "button", "switch", "wheel", "caster", "dial"}
+"""Words for what is on an object to be handled, and is none of its parts unless the spec calls one so."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +44,9 @@ def label_parts(raw: RawArticulation, category: Category) -> list[RawArticulatio
     Other links are folded into the part that carries them, in the state nearest to zero that their joint allows. Raises
     InputError, without the file's name, where links and joints do not fit the category."""
     raw = with_screws(raw, category)
-    if (ways := prod(perm(_joints(raw, kind), _wanted(category, kind)) for kind in JOINT_TYPES)) > MOST_WAYS:
+    if (
+        ways := prod(perm(len(_links(raw, kind, category)), _wanted(category, kind)) for kind in JOINT_TYPES)
+    ) > MOST_WAYS:
         raise InputError(f"its joints fit a {category.name} in {ways} ways; leave out those that are of none")
     roots = [0] + [link for link in range(1, len(raw.links)) if _named(raw.links[link], category, 0)]
     hung = [raw.rerooted(root) for root in roots]
@@ -57,13 +62,25 @@ def label_parts(raw: RawArticulation, category: Category) -> list[RawArticulatio
     rivals = [a for a in found if set(a.links) != set(best.links) and _comparable(a, best)]
     if rivals:
         count, few = len(set(best.links[1:]).union(*(a.links[1:] for a in rivals))), len(best.links) - 1
-        parts = ", ".join(part.name for part in category.parts[1:])
-        raise InputError(f"{count} links fit the part(s) {parts} equally well; {category.name} has {few}")
+        said = f"{count} links fit the part(s) {_moving(category)} equally well; {category.name} has {few}"
+        raise InputError(f"{said}: leave it out, or give a category that has {count}")
     return [_folded(a, category) for a in found if set(a.links) == set(best.links)]
 
 
 def _named(link: RawLink, category: Category, part: int) -> bool:
     return any(alias in " ".join(link.names).lower() for alias in category.parts[part].aliases)
+
+
+def _control(link: RawLink) -> str | None:
+    """What a link is called, where that is something to be handled and nothing more; numbered links have no name."""
+    names = [name.lower() for name in link.names if not re.fullmatch(r"link[_-]?\d*", name.lower())]
+    controls = [name for name in names if CONTROLS & {*re.findall("[a-z]+", name)}]
+    return controls[0] if controls and len(controls) == len(names) else None
+
+
+def _may_be(link: RawLink, category: Category, part: int) -> bool:
+    """Whether a link can be a part at all."""
+    return len(link.mesh.faces) > 0 and (_control(link) is None or _named(link, category, part))
 
 
 def _assignments(raw: RawArticulation, category: Category) -> Iterator[_Assignment]:
@@ -76,8 +93,8 @@ def _assignments(raw: RawArticulation, category: Category) -> Iterator[_Assignme
             return
         spec = category.joints[part - 1]
         for joint in raw.joints:
-            free = joint.child not in links and joint.type == spec.type and len(raw.links[joint.child].mesh.faces)
-            if free and _carrier(raw, joint.parent, links) == links[spec.parent]:
+            fits = joint.type == spec.type and _may_be(raw.links[joint.child], category, part)
+            if joint.child not in links and fits and _carrier(raw, joint.parent, links) == links[spec.parent]:
                 yield from extend((*links, joint.child))
 
     for links in extend((0,)):
@@ -105,20 +122,31 @@ def _comparable(a: _Assignment, b: _Assignment) -> bool:
     return differing(a, b) >= COMPARABLE * differing(b, a)
 
 
-def _joints(raw: RawArticulation, kind: str) -> int:
-    """Of a kind, with a mesh."""
-    return sum(joint.type == kind and len(raw.links[joint.child].mesh.faces) > 0 for joint in raw.joints)
+def _links(raw: RawArticulation, kind: str, category: Category) -> list[RawLink]:
+    """Those that move by joints of a kind, and can be one of the parts that do."""
+    parts = [part for part, joint in enumerate(category.joints, 1) if joint.type == kind]
+    moving = (raw.links[joint.child] for joint in raw.joints if joint.type == kind)
+    return [link for link in moving if any(_may_be(link, category, part) for part in parts)]
 
 
 def _wanted(category: Category, kind: str) -> int:
     return sum(joint.type == kind for joint in category.joints)
 
 
+def _moving(category: Category) -> str:
+    return ", ".join(part.name for part in category.parts[1:])
+
+
 def _why_none(raw: RawArticulation, category: Category) -> str:
     for kind in JOINT_TYPES:
-        count, wanted = _joints(raw, kind), _wanted(category, kind)
-        if count < wanted:
-            return f"has {count} {kind} joint(s) with a mesh, a {category.name} has {wanted}"
+        found, wanted = _links(raw, kind, category), _wanted(category, kind)
+        if len(found) < wanted:
+            moving = [raw.links[joint.child] for joint in raw.joints if joint.type == kind]
+            if not (controls := sorted({name for link in moving if (name := _control(link))})):
+                return f"has {len(found)} {kind} joint(s) with a mesh, a {category.name} has {wanted}"
+            lacking = f"{len(found)} of {wanted} part(s)" if found else "no"
+            cure = f"where a {controls[0]} is that part, add this to the part's aliases, in a spec of your own"
+            return f"has {lacking} {_moving(category)}: it has {', '.join(map(repr, controls))} instead; {cure}"
     return f"its joints do not form the tree of a {category.name}"
 
 
