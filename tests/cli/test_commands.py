@@ -234,8 +234,21 @@ def test_robustness_keeps_its_promise_on_models_and_on_rendered_scenes(capsys):
     scenes = answer(capsys, *few, "--source", "scenes")
     assert [row["row"] for row in scenes["rows"]] == ["clean", "hidden-25"]
     assert scenes["left_out"] == ["around"]
+    assert scenes["rows"][0]["what"] == "the frames as they are"
     assert run([*few, "--source", "scenes"]) == 0
     assert "a quarter hidden" in capsys.readouterr().out
+
+
+def test_frames_of_ones_own_need_no_more_than_the_page_on_robustness_says(capsys):
+    answer(capsys, "render", *LAPTOP, "--objects", "1", "--views", "2", "--output", "views")
+    evaluate = ["eval", "pose", *LAPTOP, "--source", "views"]
+    before = answer(capsys, *evaluate)["refined"]
+    said = {"dataset.json": ("format", "category", "camera", "depth_scale", "objects", "views")}
+    said |= {"object.json": ("axes", "pivots", "limits", "part_boxes")}
+    for file in Path("views").rglob("*.json"):
+        record = json.loads(file.read_text())
+        file.write_text(json.dumps({key: record[key] for key in said.get(file.name, ("states", "T_camera_base"))}))
+    assert answer(capsys, *evaluate)["refined"] == before
 
 
 def test_models_of_a_folder_are_evaluated_and_unfit_ones_named(capsys):

@@ -221,6 +221,7 @@ class EvalRobustness(CategoryCommand):
         category = estimator.category
         source = self.data.views_of(category)
         source = source if source.models else source.spread(self.data.views)
+        rows |= {} if source.models else {robustness_rows.CLEAN: robustness_rows.AS_THEY_ARE}
         scenes = robustness.scenes_from(source, category, self.data.seed)
         found = robustness.measure(estimator, scenes, source.total, rows, self.to_surface)
         answer = {"category": category.name, "source": self.data.source, "seed": self.data.seed}

@@ -23,6 +23,8 @@ def _seen_from(low: float, high: float) -> Spoil:
 
 
 CLEAN = "clean"
+AS_THEY_ARE = Row("the frames as they are")
+"""In place of the clean row, of images."""
 ROWS: dict[str, Row] = {
     CLEAN: Row("the object alone, exact depth, standard camera"),
     "noise": Row("white noise of a small stereo camera", Spoil(noise="on")),
