@@ -146,3 +146,13 @@ def test_chests_are_told_apart_by_their_fronts() -> None:
     unknown = judgement.with_fronts({"kite": np.ones(12), "drawer_4": np.full(12, np.nan)}, answers)
     assert unknown["kite"].tolist() == [1.0] * 12 + [0.0]
     assert unknown["drawer_4"][-1] == 0.0
+
+
+def test_what_an_observation_shows_is_found_as_what_its_depth_image_shows() -> None:
+    drawn, there = scene(0), answers(0)
+    frame = omad.Observation.from_depth(drawn.depth, drawn.camera)
+    assert [one.box for one in omad.detect(frame, categories=NAMES)] == [one.box for one in there]
+    one, same = omad.detect(frame, categories="laptop"), omad.detect(frame, categories=["laptop"])
+    assert [found.probabilities for found in one] == [found.probabilities for found in same]
+    with pytest.raises(omad.InputError):
+        omad.detect(drawn.depth)

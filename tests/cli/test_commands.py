@@ -384,6 +384,11 @@ def test_detect_finds_every_object_of_a_frame(capsys):
         assert (one["estimate"] is None) == (one["category"] is None)
     kept = json.loads(Path("omad-detect/detect.json").read_text())
     assert kept["objects"] == found["objects"]
+    *normal, offset = found["support_plane"]
+    rows, columns = np.nonzero((scene.depth > 0) & ~np.any([placed.mask for placed in scene.objects], axis=0))
+    points = scene.camera.backproject(np.stack([columns, rows], 1), scene.depth[rows, columns].astype(float))
+    assert np.median(np.abs(points @ normal - offset)) < 0.005
+    assert normal @ points.mean(0) < 0  # towards the camera
     assert Path("omad-detect/detect.png").stat().st_size > 0
     Image.fromarray(np.zeros(scene.depth.shape, np.uint8)).save("table.mask.png")  # as others may lie beside it
     again = answer(capsys, "detect", "table.png", *K, "--categories", "laptop")

@@ -5,12 +5,15 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
+from PIL import Image
 
 from helpers.chair import chair_view
 from helpers.command_line import LAPTOP, K, answer, refused, save_png
 from helpers.confidences import always
 from omad.cli.main import run
+from omad.data.rendering.tabletop import draw_tabletop
 from omad.estimation.confidence.model import FILE
 from omad.model.checkpoint import find_weights, load, save
 from omad.model.omadnet import OmadNet
@@ -72,12 +75,41 @@ def test_a_thing_may_be_of_none_of_the_categories(capsys):
     assert answer(capsys, "estimate", save_png("b.png"), *command[2:])["category"] == "laptop"
 
 
+def test_none_of_the_categories_has_every_key_and_leaves_no_earlier_answer(capsys):
+    first = answer(capsys, "estimate", save_png("a.png"), "--category", "auto", *K, "--formats", "ros", "glb")
+    assert first["category"] == "laptop"
+    command = ["estimate", save_png("a.png", chair_view().depth), "--category", "auto", *K]
+    found = answer(capsys, *command)
+    assert found["category"] is None
+    assert set(found) == set(first) - {"world"}
+    for key in ("T_camera_base", "residual", "initial", "mirrored", "hand_probability"):
+        assert found[key] is None
+    assert (found["beta"], found["keypoints"], found["parts"]) == ([], [], [])
+    assert set(found["seconds"]) == set(first["seconds"])
+    left = {file.name for file in Path(found["output"]).iterdir() if file.is_file()}
+    assert left == {"estimate.json"}
+
+
 def test_a_category_of_ones_own_is_tried_beside_the_shipped_ones(capsys):
     net = load(OmadNet, find_weights("laptop"))
     net.category = replace(net.category, name="notebook")
     save(net, Path("own"), {})
     found = answer(capsys, "estimate", save_png("a.png"), "--category", "auto", "--weights", "own", *K)
     assert {"notebook", "laptop"} <= {one["category"] for one in found["categories"]}
+
+
+def test_detect_names_a_wrong_depth_scale(capsys):
+    scene = draw_tabletop(("laptop",), (2, 5))
+    image = save_png("table.png", scene.depth)
+    found = answer(capsys, "detect", image, *K, "--categories", "laptop", "--depth-scale", "0.0001")
+    assert not any(one["category"] for one in found["objects"])
+    assert [warning for warning in found["warnings"] if warning.endswith("10 times too small; --depth-scale 0.001")]
+    Image.fromarray(np.full((480, 640), 900, np.uint16)).save("wall.png")
+    assert answer(capsys, "detect", "wall.png", *K, "--categories", "laptop")["support_plane"] is not None
+
+
+def test_an_id_without_a_mask_is_refused(capsys):
+    assert "--mask-id 3: tells one" in refused(capsys, "estimate", save_png("a.png"), *LAPTOP, *K, "--mask-id", "3")
 
 
 @pytest.mark.slow

@@ -8,6 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from helpers.command_line import LAPTOP, K, answer, laptop_view, refused, save_png
+from omad.cli.main import run
 from omad.data.procedural import generate
 from omad.data.rendering.standard_views import standard_view
 from omad.objects.category_file import get_category
@@ -45,6 +46,12 @@ def test_a_wrong_pose_is_doubtful(images, capsys):
     found = answer(capsys, "estimate", *images, "--together", "a.txt", "inverted.txt")["results"]
     assert "views" in {check["name"] for result in found for check in result["checks"]}
     assert all(result["doubtful"] for result in found)  # of two views, either may be the wrong one
+    assert run(["estimate", *images, "--together", "a.txt", "inverted.txt"]) == 0
+    said = capsys.readouterr().err
+    for name in ("a", "b"):  # whose answer is doubtful for what the other view says
+        assert "its T_world_camera may be wrong" in Path(f"omad-estimate/{name}/estimate.html").read_text()
+    assert said.count("its T_world_camera may be wrong") == 2
+    assert "warning: view 1: " in said or "warning: view 2: " in said
 
 
 @pytest.mark.slow

@@ -50,8 +50,10 @@ class Found:
     def none_of_them(self) -> dict[str, Any]:
         """What is said of a thing that is of none of the categories."""
         assert self.ranking is not None
-        nothing = {"category": None, "converged": False, "joints": [], "parts": [], "probability": None}
-        return {**nothing, "warnings": [*self.estimate.warnings], **self._doubts()}
+        said = self.estimate.to_dict()
+        nothing = {key: [] if isinstance(value, list) else None for key, value in said.items()}
+        kept = {"T_camera_base": None, "converged": False, "seconds": said["seconds"], "warnings": said["warnings"]}
+        return {**nothing, **kept, **self._doubts()}
 
     def _doubts(self) -> dict[str, Any]:
         ranked = {} if self.ranking is None else self.ranking.to_dict()

@@ -45,6 +45,20 @@ CHOICE = (
 AUTO = "auto"
 NEAR = 0.2
 """A category with this probability is named beside the likeliest one."""
+OF_AN_ANSWER = (
+    "object.urdf",
+    "state.json",
+    "estimate.png",
+    "estimate.html",
+    "robot.urdf",
+    "robot.xml",
+    "robot.usda",
+    "object.ply",
+    "object.glb",
+    "ros.json",
+    "object.rrd",
+)
+"""Files that a folder of results has only where an object was found, by an earlier run perhaps."""
 DOUBTFUL = 1
 """Exit code of --strict."""
 
@@ -155,6 +169,8 @@ class EstimateCommand(CategoryCommand):
         found.estimate.seconds["read"] = view.seconds
         if found.none:
             record = found.none_of_them()
+            for name in OF_AN_ANSWER:
+                (folder / name).unlink(missing_ok=True)
             print(f"{view.file}: none of the categories ({nearest_text(record)}) -> {folder}", file=sys.stderr)
         else:
             record = found.to_dict()
@@ -171,7 +187,11 @@ class EstimateCommand(CategoryCommand):
         estimate = found.estimate
         estimate.save_urdf(folder / "object.urdf")
         picture.save(picture.figure(observation, estimate, title=file.name), folder / "estimate.png")
-        doubts = observation.warnings + tuple(str(check) for check in found.checks)
+        said = observation.warnings + tuple(str(check) for check in found.checks)
+        warnings = observation.warnings
+        if estimate.joints_alone:  # of one of several views: what is said of the others
+            warnings += tuple(told for told in estimate.warnings if not told.endswith(said))
+        doubts = warnings + said[len(observation.warnings) :]
         save_html(observation, replace(estimate, warnings=doubts), folder / "estimate.html", title=file.name)
         save_formats(estimate, observation, folder, self.formats, T_world_camera)
         joints = ", ".join(map(str, estimate.joints))
@@ -179,7 +199,7 @@ class EstimateCommand(CategoryCommand):
         notes = [picture.how_sure(estimate), "" if estimate.converged else "not converged"]
         note = ", ".join(filter(None, notes))
         print(f"{file}: {name}{joints}{note and f' ({note})'} -> {folder}", file=sys.stderr)
-        for warning in observation.warnings:
+        for warning in warnings:
             print(f"{file}: warning: {warning}", file=sys.stderr)
         if found.checks:
             print(f"{file}: {'doubtful; ' if found.doubtful else ''}check:", file=sys.stderr)
@@ -225,7 +245,8 @@ class Detect(CategoriesCommand):
     def run(self) -> Answer:
         check_positive(depth_scale=self.depth_scale)
         options = InputOptions(intrinsics=self.intrinsics, depth_scale=self.depth_scale)
-        frame = replace(InputReader.of(options, [self.input]), whole=True)(self.input)
+        reader = replace(InputReader.of(options, [self.input]), whole=True)
+        frame = reader(self.input)
         corners = None if self.box is None else parse_numbers(self.box, 4, "--box")
         began = time.perf_counter()
         detector = Detector(
@@ -236,8 +257,10 @@ class Detect(CategoriesCommand):
         found = look.detections
         seconds = {"load": loaded - began, "detect": time.perf_counter() - loaded}
         record = {"input": str(self.input), "objects": [one.to_dict() for one in found], "seconds": seconds}
-        record |= {"lowest": look.lowest, "too_flat": look.too_flat}
-        warnings = [*frame.warnings, *look.doubts]
+        plane = None if look.support_plane is None else look.support_plane.tolist()
+        record |= {"support_plane": plane, "lowest": look.lowest, "too_flat": look.too_flat}
+        doubts = detector.scale_doubts(look, reader.metres_per_number(self.input))
+        warnings = [*frame.warnings, *look.doubts, *doubts]
         for warning in warnings:
             print(f"{self.input}: warning: {warning}", file=sys.stderr)
         record["warnings"] = warnings

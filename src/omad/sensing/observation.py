@@ -104,6 +104,8 @@ class Observation:
             raise InputError(f"distortion: is {type(distortion).__name__}; give an omad.geometry.lens.Distortion")
         camera = camera if distortion is None else replace(camera, distortion=distortion)
         measured = depth > 0
+        if mask is None and mask_id is not None:
+            raise InputError("mask_id: tells one of a mask's objects; give the mask, or leave it out")
         given = mask = None if mask is None else as_mask(image_from(mask), mask_id)
         if mask is not None and not mask.any():
             raise NothingSeen("mask: is empty, no pixel of it is the object's; check it")

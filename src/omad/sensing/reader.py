@@ -93,7 +93,7 @@ class InputReader:
             return self._cloud(file) if is_cloud(file) else self._depth(file)
 
     def _cloud(self, file: Path) -> Observation:
-        if self.mask is not None or self.box is not None:
+        if self.mask is not None or self.box is not None or self.mask_id is not None:
             raise InputError("--mask and --box need a depth image; cut the cloud out, or use --segment plane")
         return Observation.from_points(read_cloud(file) * (self.depth_scale or 1.0), self.segment, self.drop_flying)
 
@@ -114,7 +114,11 @@ class InputReader:
         if isinstance(self.mask, Path):
             return read_mask(_of_its_name(file, self.mask, "mask", MASK_FORMATS), self.mask_id)
         told = self.whole or self.mask is not None or self.box is not None or self.segment is not None
-        return self.mask if told or beside.mask is None else read_mask(beside.mask, self.mask_id)
+        if not told and beside.mask is not None:
+            return read_mask(beside.mask, self.mask_id)
+        if self.mask is None and self.mask_id is not None:
+            raise InputError(f"--mask-id {self.mask_id}: tells one of a mask's objects; give --mask, or leave it out")
+        return self.mask
 
     def metres_per_number(self, file: Path) -> float | None:
         """Of a depth image or cloud, where that can be told without its numbers."""

@@ -1,7 +1,7 @@
 """Finds the objects of a frame: planes are taken away, what is left falls into things, categories judge each thing."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cache
 from typing import Any
 
@@ -10,6 +10,7 @@ import numpy as np
 from omad.common.arrays import as_doubles
 from omad.estimation.categories.late import AnyEstimator, LateEstimator
 from omad.estimation.categories.proposals import Proposals
+from omad.estimation.checks import USUAL_SIZE, wrong_scale
 from omad.estimation.estimate import Estimate, plain
 from omad.geometry.rigid import box as bounds
 from omad.model.checkpoint import shipped_categories
@@ -112,6 +113,8 @@ class Look:
     """Those of the categories whose objects, laid flat, are about so low."""
     doubts: tuple[str, ...]
     """Of the camera, by how table, floor and walls stand to each other."""
+    support_plane: np.ndarray | None
+    """(4,) n . p = d of points p, metres, camera frame, n towards the camera: the largest of table, floor and walls."""
 
 
 @dataclass(frozen=True)
@@ -141,9 +144,23 @@ class Detector:
             # cut out already, perhaps: then the planes were an object's own
             seen = [frame.part(thing) for thing in _of_box(things_alone(frame.points, LEAST), inside)]
             alone = self._judged(seen, np.zeros((0, 4)))
-            judged = alone if any(one.category for one in alone) else judged
+            if any(one.category for one in alone):
+                judged, found = alone, replace(found, planes=found.planes[:0])
         flat = tuple(e.category.name for e in self.estimators if _height(e) < CLEAR * found.lowest)
-        return Look(judged, found.lowest, flat, angle_doubts(found.planes))
+        doubts = angle_doubts(found.planes)
+        return Look(judged, found.lowest, flat, doubts, found.planes[0] if len(found.planes) else None)
+
+    def scale_doubts(self, look: Look, depth_scale: float | None) -> Iterator[str]:
+        """Where a wrong ``depth_scale``, metres per number where known, may be why nothing is of the categories: most
+        things are of no object's size."""
+        sizes = [float(np.linalg.norm(np.ptp(one.observation.points, axis=0))) for one in look.detections]
+        usual = [USUAL_SIZE * estimator.category.metres_per_unit for estimator in self.estimators]
+        if not sizes or any(one.category for one in look.detections):
+            return
+        if min(usual) / ODD_SIZE < np.median(sizes) < ODD_SIZE * max(usual):
+            return
+        if scale := wrong_scale(max(sizes), float(np.median(usual)), depth_scale):
+            yield f"{len(sizes)} things of up to {max(sizes):.2g} m, none of them an object: {scale.why}; {scale.cure}"
 
     def whole(self, frame: Observation) -> Detection:
         """All of a frame as one thing, without table, floor and walls."""
@@ -181,11 +198,16 @@ class Detector:
         return proposals.worth_fitting([name for name, ratio in ratios.items() if 1 / ODD_SIZE < ratio < ODD_SIZE])
 
 
-def detect(depth_m: Any, K: Any, categories: Sequence[str] = (), box: Sequence[float] | None = None) -> list[Detection]:
-    """All objects of a depth image (H, W) in metres, as ``Observation.from_depth`` takes it with ``K``: what stands on
-    a table or floor, each with its category of ``categories`` (default: all with shipped weights), its estimate and how
-    sure that is. What is of none of them is among the answers, too. ``box``: as of ``Detector``. Raises InputError."""
-    return _detector(tuple(categories) or tuple(shipped_categories()))(Observation.from_depth(depth_m, K), box)
+def detect(
+    seen: Any, K: Any = None, categories: str | Sequence[str] = (), box: Sequence[float] | None = None
+) -> list[Detection]:
+    """All objects of an ``Observation`` of a whole frame, or of a depth image (H, W) in metres, as
+    ``Observation.from_depth`` takes it with ``K``: what stands on a table or floor, each with its category of
+    ``categories`` (one or several; default: all with shipped weights), its estimate and how sure that is. What is of
+    none of them is among the answers, too. ``box``: as of ``Detector``. Raises InputError."""
+    frame = seen if isinstance(seen, Observation) else Observation.from_depth(seen, K)
+    names = (categories,) if isinstance(categories, str) else tuple(categories)
+    return _detector(names or tuple(shipped_categories()))(frame, box)
 
 
 @cache
