@@ -109,6 +109,24 @@ def test_objects_are_named_once_and_information_weighs(tmp_path):
         index.search(query(betas(1)[0]), 1, by_information=True)
 
 
+def test_hands_are_kept_and_merged(tmp_path):
+    """Of parts whose objects have none, no more is stored than before there were hands."""
+    one, into = LargeIndex.create(tmp_path / "one", SPACE), LargeIndex.create(tmp_path / "all", SPACE)
+    signatures = [Signature(SPACE.prior, beta, None, p) for beta, p in zip(betas(3), (0.0, 1.0, None), strict=True)]
+    one.add([Portion.of(signatures, entries(0, 3), 3, SIZE)], "handed")
+    one.add(stream(10), "numbers")
+    memory = ShapeIndex(SPACE)
+    memory.add(signatures, entries(0, 3))
+    for index, name in ((one, "one"), (memory, "memory")):
+        into.merge(index, name)
+    for index in (LargeIndex.open(tmp_path / "one"), LargeIndex.open(tmp_path / "all"), memory):
+        assert [index.search(each, 1)[0].entry.of_other_hand for each in signatures] == [False, True, None]
+    found = LargeIndex.open(tmp_path / "one").search_objects(signatures[1], 2)[0]
+    assert (found.entry.name, found.mirrored) == ("object 0", False)
+    part = one.manifest.parts[1]
+    assert np.load(tmp_path / "one" / f"{part.name}.ends.npy").shape == (10, 3)
+
+
 def test_catalogues_are_merged_once(tmp_path, small_parts):
     """From disk and from memory; what is in already stays out, and what came since comes in."""
     one, into = LargeIndex.create(tmp_path / "one", SPACE), LargeIndex.create(tmp_path / "all", SPACE)

@@ -10,7 +10,7 @@ import torch
 from helpers.categories import LAPTOP
 from omad.applications.retrieval.index import Entry, ShapeIndex
 from omad.applications.retrieval.search import ExactSearch
-from omad.applications.retrieval.signature import Signature, Space, fuse, prior_fingerprint
+from omad.applications.retrieval.signature import Signature, Space, check_one_hand, fuse, prior_fingerprint
 from omad.common.errors import InputError
 from omad.model.prior import OmadPrior
 
@@ -110,6 +110,55 @@ def test_every_object_is_named_once_by_its_nearest_entry():
     assert [(hit.entry.name, hit.distance) for hit in found] == list(best.items())
     assert len(index.search_objects(query, 3)) == 3
     assert len(index.search_objects(query, 1000)) == 10
+
+
+def handed(beta: np.ndarray, probability: float | None, prior: str) -> Signature:
+    return Signature(prior, beta, None, probability)
+
+
+def test_mirror_images_are_named_as_such_and_come_behind(tmp_path):
+    """At any distance; what is not told surely is not said, and counts as the query's own hand."""
+    index = ShapeIndex(Space.of(prior(), LAPTOP, "beta"))
+    told = {"image": 1.0, "own, far": 0.0, "own, near": 0.1, "not sure": 0.6}
+    shifts = np.array([0.0, 3.0, 1.0, 2.0])[:, None] * np.eye(SIZE)[0]
+    entries = [Entry(name) for name in told]
+    index.add([handed(*pair, index.space.prior) for pair in zip(shifts, told.values(), strict=True)], entries)
+    index.save(tmp_path / "index.npz")
+    again = ShapeIndex.load(tmp_path / "index.npz")
+    assert again.entries == index.entries
+    assert [entry.of_other_hand for entry in again.entries] == [True, False, False, None]
+    found = again.search_objects(handed(np.zeros(SIZE), 0.02, index.space.prior), 4)
+    said = {hit.entry.name: hit.mirrored for hit in found}
+    assert [*said.items()] == [("own, near", False), ("not sure", None), ("own, far", False), ("image", True)]
+    nearest = again.search_objects(handed(np.zeros(SIZE), 0.02, index.space.prior), 1)
+    assert nearest[0].entry.name == "own, near"
+    for unsure in (0.5, None):
+        hits = again.search_objects(handed(np.zeros(SIZE), unsure, index.space.prior), 4)
+        assert (hits[0].entry.name, {hit.mirrored for hit in hits}) == ("image", {None})
+    assert again.search(handed(np.zeros(SIZE), 0.9, index.space.prior), 1)[0].mirrored is False
+
+
+def test_files_of_before_there_were_hands_are_read(tmp_path):
+    index, _ = filled()
+    index.save(tmp_path / "index.npz")
+    with np.load(tmp_path / "index.npz") as arrays:
+        assert b'"hands"' not in arrays["head"].tobytes()
+    assert {entry.of_other_hand for entry in ShapeIndex.load(tmp_path / "index.npz").entries} == {None}
+
+
+def test_views_of_different_hands_are_not_taken_for_one_object():
+    made = prior_fingerprint(prior(), LAPTOP)
+    left, right, perhaps = (handed(np.full(SIZE, n), p, made) for n, p in ((1.0, 0.01), (2.0, 0.99), (3.0, 0.6)))
+    with pytest.raises(InputError, match=r"other hand.*each alone"):
+        check_one_hand([left, right])
+    assert check_one_hand([left, left]) == check_one_hand([handed(left.beta, None, made)] * 2) == []
+    assert "hand: " in check_one_hand([left, perhaps])[0]
+    together = fuse([left, perhaps, left])
+    np.testing.assert_array_equal(together.beta, left.beta)  # what shows its mirror image does not count
+    assert together.of_other_hand is False
+    assert fuse([right, perhaps]).of_other_hand is True
+    np.testing.assert_array_equal(fuse([right, perhaps]).beta, np.full(SIZE, 2.5))
+    assert right.in_mirror().mirrored_probability == pytest.approx(0.01)
 
 
 def test_an_empty_index_answers_nothing():

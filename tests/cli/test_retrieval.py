@@ -3,6 +3,7 @@
 import importlib.util
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -86,6 +87,34 @@ def test_a_catalogue_of_views_has_an_entry_an_object_or_a_view(capsys):
     assert "views: " in refused(
         capsys, "index", "build", "--category", "drawer", "--output", "x.npz", "--source", "views"
     )
+
+
+@pytest.mark.slow
+def test_mirror_images_are_told_apart(capsys):
+    """A fridge and its image in a mirror are not two views of one object, nor is the one named as the other."""
+    of = ["--category", "refrigerator", "--objects", "2"]
+    answer(capsys, "render", *of, "--output", "views", "--views", "6")
+    answer(capsys, "index", "build", *of, "--output", "index.npz")
+    states = {file: json.loads(file.read_text())["states"][0] for file in Path("views").rglob("0*.json")}
+    file = max(states, key=states.__getitem__).with_suffix(".depth.png")  # wide open, which shows its hinge
+    with Image.open(file) as depth:
+        Image.fromarray(np.asarray(depth)[:, ::-1].copy()).save("image.png")
+    query = ["--intrinsics", "600,600,319.5,239.5", "--depth-scale", "0.001", "--index", "index.npz"]
+    for shown, mirrored in ((str(file), False), ("image.png", True)):
+        found = answer(capsys, "index", "query", shown, *query)
+        assert [hit["mirrored"] for hit in found["ranking"]] == [mirrored] * 2
+        assert found["ranking"][0]["object"] == file.parent.name
+        assert run(["index", "query", shown, *query]) == 0
+        assert ("in the mirror" in capsys.readouterr().out) == mirrored
+    assert "other hand" in refused(capsys, "index", "query", str(file), "image.png", *query)
+    made = answer(capsys, "index", "build", "--category", "refrigerator", "--source", "views", "--output", "seen.npz")
+    assert made["entries"] == 2
+    index = ShapeIndex.load("index.npz")
+    index.entries = [replace(entry, of_other_hand=None) for entry in index.entries]  # as of before there were hands
+    index.save("old.npz")
+    found = answer(capsys, "index", "query", "image.png", *query[:-1], "old.npz")
+    assert {hit["mirrored"] for hit in found["ranking"]} == {None}
+    assert "build it anew" in found["warnings"][0]
 
 
 @pytest.mark.slow

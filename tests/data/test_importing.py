@@ -19,6 +19,7 @@ from helpers.own_models import Z_UP, box, microwave, seen_from_elsewhere, staple
 from omad.cli.main import run
 from omad.common.errors import InputError
 from omad.data.procedural import generate
+from omad.data.rendering.view_folder import open_views
 from omad.data.urdf_import import importing
 from omad.data.urdf_import.articulation import read_articulation, read_urdf
 from omad.data.urdf_import.folder import import_model, import_with_notes, load_folder
@@ -346,6 +347,34 @@ def test_what_is_odd_about_a_model_is_noted(capsys):
     file.write_text(file.read_text().replace("</link>", f"{lost}</link>", 1))
     made = answer(capsys, "import", str(model), *WITH, "--output", "ours", "--missing-meshes", "skip")
     assert "without 1 of its mesh files" in made["notes"][0]["reason"]
+
+
+def test_models_of_the_other_hand_stay_known_as_such(capsys):
+    """In what is imported of them, in what commands say on stderr, in rendered data sets, however often imported."""
+    category = EVERY["microwave"]
+    for name, model in (("own", generate(category, 0)), ("image", generate(category, 1).mirrored())):
+        write_urdf(replace(model, name=name), f"models/{name}/{name}.urdf")
+    first = import_folder(Path("models"), category, Path("ours"))
+    for source, again in (("models", "again"), ("ours", "once more")):
+        found, imported = load_folder(source, category), import_folder(Path(source), category, Path(again))
+        for models, notes in ((found.models, found.notes), (imported.models, imported.notes)):
+            assert [(model.name, model.of_other_hand) for model in models] == [("image", True), ("own", False)]
+            assert [(note.name, note.reason) for note in notes] == [("image", first.notes[0].reason)]
+    assert load_folder("ours/image", category).models[0].of_other_hand
+    Path("ours/import.json").write_text('{"notes": [3]}')
+    assert not load_folder("ours", category).notes
+    capsys.readouterr()
+    for views in ("2", "3"):
+        made = ["render", "--category", "microwave", "--source", "models", "--output", "views", "--views", views]
+        assert run(made) == 0
+    assert capsys.readouterr().err.count("note on image: is the other way round") == 1
+    truths = {view.object: view.truth for view in open_views("views")}
+    assert {name: truth.of_other_hand for name, truth in truths.items()} == {"own": False, "image": True}
+    assert "of_other_hand" not in Path("views/own/object.json").read_text()
+    record = json.loads(Path("views/image/object.json").read_text())
+    del record["of_other_hand"]  # as an earlier version wrote it
+    Path("views/image/object.json").write_text(json.dumps(record))
+    assert run([*made[:-1], "4"]) == 0
 
 
 @pytest.mark.parametrize(

@@ -309,7 +309,7 @@ def test_who_gave_a_category_with_too_few_parts_is_told_which_fits(tmp_path):
     two_doors, drawers = generate(EVERY["refrigerator_two_doors"], 0), generate(EVERY["drawer_5"], 0)
     for model, name in ((two_doors, "refrigerator"), (drawers, "drawer")):
         file = write_urdf(model, tmp_path / name)
-        with pytest.raises(InputError, match=f"equally well; .* give --category {model.category}"):
+        with pytest.raises(InputError, match=f"equally well; .* it fits --category {model.category}"):
             import_model(file, EVERY[name])
         assert import_model(file, EVERY[model.category]).category == model.category
 

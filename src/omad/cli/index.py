@@ -36,7 +36,13 @@ with lazy_imports():
     from omad.applications.retrieval.large.parts import Portion
     from omad.applications.retrieval.large.stream import portions_of_inputs, portions_of_models
     from omad.applications.retrieval.picture import ranking_figure
-    from omad.applications.retrieval.signature import Space, estimate_signature, fuse, prior_fingerprint
+    from omad.applications.retrieval.signature import (
+        Space,
+        check_one_hand,
+        estimate_signature,
+        fuse,
+        prior_fingerprint,
+    )
     from omad.common.batches import progress
     from omad.common.incoming import is_path
     from omad.data.rendering.standard_views import View
@@ -47,6 +53,8 @@ with lazy_imports():
 
 UNITS = {"keypoints": "m", "beta": "", "whitened": "std"}
 """What a distance of each metric is in."""
+MIRRORED = " in the mirror"
+"""Behind the distance of an object of the other hand."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -185,7 +193,8 @@ class IndexQuery:
     """Ask a catalogue which object this is: one depth image or cloud, or several of the same object."""
 
     inputs: Positional[tuple[Path, ...]]
-    """Depth images or clouds; several are taken for views of one object, and count together."""
+    """Depth images or clouds; several are taken for views of one object, and count together. Those that surely show
+    objects of different hands (doors hinged on different sides) are refused."""
     index: Path
     """What ``omad index build`` or ``merge`` wrote."""
     count: int = 5
@@ -211,15 +220,19 @@ class IndexQuery:
             raise InputError(f"{self.index}: {said}; {cure}")
         observations = [*map(reader, files)]
         estimates = estimator(observations)
-        signature = fuse([estimate_signature(estimate, prior) for estimate in estimates])
+        signatures = [estimate_signature(estimate, prior) for estimate in estimates]
+        warnings = {*check_one_hand(signatures), *(said for estimate in estimates for said in estimate.warnings)}
+        signature = fuse(signatures)
         hits = index.search_objects(signature, self.count, self.by_information)
         unit = "std" if self.by_information else UNITS[index.space.metric]
         picture = self.output / "ranking.png"
         save(ranking_figure(observations, hits, unit), picture)
         ranking = [self._ranked(hit, self.output / f"{number:02d}.png") for number, hit in enumerate(hits, 1)]
-        warnings = sorted({warning for estimate in estimates for warning in estimate.warnings})
+        if signature.of_other_hand is not None and all(hit.entry.of_other_hand is None for hit in hits):
+            cure = "build it anew, or its mirror image counts as the object"
+            warnings.add(f"hand: {self.index} says of none of these which hand it is of; {cure}")
         record = {"inputs": [*map(str, files)], "index": str(self.index), "category": index.space.category}
-        record |= {"unit": unit, "ranking": ranking, "picture": str(picture), "warnings": warnings}
+        record |= {"unit": unit, "ranking": ranking, "picture": str(picture), "warnings": sorted(warnings)}
         return Answer(record, ranking_text)
 
     def _ranked(self, hit: Hit, path: Path) -> dict[str, Any]:
@@ -227,7 +240,7 @@ class IndexQuery:
         entry = hit.entry
         if entry.thumbnail:
             write_atomic(path, lambda temporary: temporary.write_bytes(entry.thumbnail))
-        found = {"object": entry.name, "distance": hit.distance, "source": entry.source}
+        found = {"object": entry.name, "distance": hit.distance, "mirrored": hit.mirrored, "source": entry.source}
         return found | {"thumbnail": str(path) if entry.thumbnail else None}
 
 
@@ -235,5 +248,6 @@ def ranking_text(answer: dict[str, Any]) -> str:
     """What was found, a line an object."""
     rows = [["", "object", "distance", "source"]]
     for number, found in enumerate(answer["ranking"], 1):
-        rows.append([str(number), found["object"], f"{found['distance']:.4g} {answer['unit']}", found["source"]])
+        distance = f"{found['distance']:.4g} {answer['unit']}{MIRRORED * bool(found['mirrored'])}"
+        rows.append([str(number), found["object"], distance, found["source"]])
     return "\n".join([table(rows), f"picture: {answer['picture']}", *answer["warnings"]])

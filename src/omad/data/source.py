@@ -6,7 +6,9 @@ A new kind of source is a file that reads it and an entry in ``KINDS``.
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from functools import cache
 from itertools import islice
+from pathlib import Path
 from typing import Literal, Self, TypeAlias
 
 from omad.common.errors import InputError
@@ -30,6 +32,8 @@ Split: TypeAlias = Literal["train", "test"]
 class ModelSource:
     models: list[ObjectModel]
     refused: list[dict[str, str]] = field(default_factory=list)
+    notes: list[dict[str, str]] = field(default_factory=list)
+    """Name and reason: what had to be put right about models, as that they are mirror images."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +89,16 @@ def _urdfs(source: str, category: Category, objects: int, split: Split, seed: in
         print(f"left out {refusal.name}: {refusal.reason}", file=sys.stderr)
     if not found.models:
         raise InputError(f"{source}: none of its {len(found.refused)} models fits {category.name} (reasons above)")
-    return ModelSource(found.models, [asdict(refusal) for refusal in found.refused])
+    for note in found.notes:
+        _say_once(str(Path(source).absolute()), f"note on {note.name}: {note.reason}")
+    refused, notes = ([asdict(each) for each in listed] for listed in (found.refused, found.notes))
+    return ModelSource(found.models, refused, notes)
+
+
+@cache
+def _say_once(source: str, text: str) -> None:
+    """On stderr, however often a command reads the ``source``."""
+    print(text, file=sys.stderr)
 
 
 def _artimage_surfaces(source: str, category: Category, split: Split, broken: Broken) -> list[SampledObject]:

@@ -72,6 +72,8 @@ class ObjectModel:
     """(J, 2) float64 radians or metres, zero is the rest state."""
     at_most: tuple[int | None, ...] = ()
     """Per joint, another one than which it does not go further; none where empty."""
+    of_other_hand: bool = False
+    """The object that it was imported from is its mirror image (``Category.either_hand``)."""
 
     @classmethod
     def of(

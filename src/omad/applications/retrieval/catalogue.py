@@ -1,7 +1,7 @@
 """Entries of a catalogue from object models, from views, and from people's own depth images and clouds."""
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +28,8 @@ class Seen:
     """Of the object; several observations may be of the same."""
     source: str
     observation: Observation
+    mirrored: bool = False
+    """The object is the mirror image of what the observation shows."""
 
 
 @dataclass
@@ -42,8 +44,13 @@ class Catalogued:
 
 def from_models(net: PriorNet, models: Sequence[ObjectModel], source: str) -> Catalogued:
     """One entry a model; its signature is PriorNet's, which sees the whole surface."""
-    entries = [Entry(model.name, source, model_thumbnail(model)) for model in models]
-    return Catalogued(model_signatures(net, models), entries)
+    own = [model.mirrored() if model.of_other_hand else model for model in models]
+    entries = [Entry(model.name, source, model_thumbnail(model)) for model in own]
+    signatures = model_signatures(net, models)
+    if net.category.either_hand:
+        told = [float(model.of_other_hand) for model in models]
+        signatures = [replace(one, mirrored_probability=hand) for one, hand in zip(signatures, told, strict=True)]
+    return Catalogued(signatures, entries)
 
 
 def from_observations(estimator: Estimator, seen: Iterable[Seen], fused: bool, batch: int = 32) -> Catalogued:
@@ -54,7 +61,8 @@ def from_observations(estimator: Estimator, seen: Iterable[Seen], fused: bool, b
     for some in batched(seen, batch):
         for thing, estimate in zip(some, estimator([thing.observation for thing in some]), strict=True):
             rows.setdefault(thing.name, []).append(len(found.entries))
-            found.signatures.append(estimate_signature(estimate, prior))
+            signature = estimate_signature(estimate, prior)
+            found.signatures.append(signature.in_mirror() if thing.mirrored else signature)
             found.entries.append(Entry(thing.name, thing.source, _thumbnail(thing, estimate)))
     if not fused:
         return found
@@ -66,7 +74,8 @@ def _thumbnail(thing: Seen, estimate: Estimate) -> bytes:
     """The estimated object, or where its surface is not known what was seen of it."""
     if estimate.surfaces is None or not np.isfinite(estimate.keypoints).all():
         return view_thumbnail(thing.observation)
-    return model_thumbnail(estimate.carried_model())
+    model = estimate.carried_model()
+    return model_thumbnail(model.mirrored() if thing.mirrored else model)
 
 
 def seen_views(views: Iterable[View], total: int, source: str, refused: list[dict[str, str]]) -> Iterator[Seen]:
@@ -77,7 +86,7 @@ def seen_views(views: Iterable[View], total: int, source: str, refused: list[dic
         except InputError as error:
             refused.append({"name": f"{view.object} (view {number})", "reason": str(error)})
             continue
-        yield Seen(view.object, source, observation)
+        yield Seen(view.object, source, observation, view.truth.of_other_hand)
 
 
 def object_of(file: Path, root: Path) -> str:

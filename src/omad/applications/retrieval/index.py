@@ -5,7 +5,7 @@ import io
 import json
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, Self
 
@@ -22,6 +22,8 @@ from .signature import Metric, Signature, Space, information_factor
 
 FORMAT = "omad-index-2"
 Backend = Literal["exact", "faiss"]
+MOST_ASKED = 1000
+"""Entries among which objects of the query's own hand are looked for."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,10 +36,29 @@ class Entry:
     """Where it came from: a file, say."""
     thumbnail: bytes = b""
     """A small PNG; empty where there is none."""
+    of_other_hand: bool | None = None
+    """Whether the object is the mirror image of what its signature says, where that is sure. Left out, it is that of
+    the signature."""
 
     def __post_init__(self) -> None:
         if not (isinstance(self.name, str) and isinstance(self.source, str) and isinstance(self.thumbnail, bytes)):
             raise InputError("entry: name and source are texts, its thumbnail the bytes of a PNG; give such")
+        if not isinstance(self.of_other_hand, bool | None):
+            raise InputError(f"entry: of_other_hand is {self.of_other_hand!r}; give True, False, or None")
+
+    def mirrored(self, signature: Signature) -> bool | None:
+        """Whether the object is of another hand than that of a signature; None where either is not known surely."""
+        known = self.of_other_hand is not None and signature.of_other_hand is not None
+        return self.of_other_hand != signature.of_other_hand if known else None
+
+
+def with_hands(signatures: Sequence[Signature], entries: Sequence[Entry]) -> list[Entry]:
+    """Entries that say themselves of which hand their objects are, where their signatures do."""
+    pairs = zip(signatures, entries, strict=True)
+    return [
+        replace(entry, of_other_hand=own.of_other_hand) if entry.of_other_hand is None else entry
+        for own, entry in pairs
+    ]
 
 
 @dataclass(frozen=True)
@@ -47,6 +68,9 @@ class Hit:
     entry: Entry
     distance: float
     """In the space's measure: metres between keypoints, units of beta, or standard deviations."""
+    mirrored: bool | None = None
+    """Whether it is of another hand than the query, so that distance is that to its mirror image; None where the
+    category has one hand, or one of the two is not told surely."""
 
 
 class ShapeIndex:
@@ -87,7 +111,7 @@ class ShapeIndex:
         for signature in signatures:
             self.space.check(signature)
         if signatures:
-            self.add_betas(np.stack([signature.beta for signature in signatures]), entries)
+            self.add_betas(np.stack([signature.beta for signature in signatures]), with_hands(signatures, entries))
             known = [signature.covariance for signature in signatures if signature.covariance is not None]
             self._covariances = self._covariances + sum(known)
 
@@ -116,10 +140,11 @@ class ShapeIndex:
         else:
             found = self.nearest(signature.beta[None], count)
         pairs = zip(found.rows[0], found.distances[0].tolist(), strict=True)
-        return [Hit(self.entries[row], distance) for row, distance in pairs if row >= 0]
+        return [hit_of(self.entries[row], distance, signature) for row, distance in pairs if row >= 0]
 
     def search_objects(self, signature: Signature, count: int = 10, by_information: bool = False) -> list[Hit]:
-        """As ``search``, but every object once, by its nearest entry."""
+        """As ``search``, but every object once, by its nearest entry, and mirror images behind objects of the query's
+        own hand (``nearest_objects``)."""
         return nearest_objects(lambda asked: self.search(signature, asked, by_information), count, len(self))
 
     def nearest(self, betas: np.ndarray, count: int) -> Neighbours:
@@ -142,6 +167,8 @@ class ShapeIndex:
         head = {name: getattr(self.space, name) for name in ("prior", "category", "metric")}
         head |= {"format": FORMAT, "backend": self.backend}
         head |= {"names": [entry.name for entry in self.entries], "sources": [entry.source for entry in self.entries]}
+        if any(hands := [entry.of_other_hand for entry in self.entries]) or False in hands:
+            head["hands"] = hands
         pictures = [entry.thumbnail for entry in self.entries]
         arrays = {"factor": self.space.factor, "betas": self.betas, "covariances": self._covariances}
         arrays["thumbnails"] = np.frombuffer(b"".join(pictures), dtype=np.uint8)
@@ -186,12 +213,13 @@ class ShapeIndex:
         betas, sizes = Shape(count, size).array(arrays["betas"]), arrays["thumbnail_sizes"]
         if sizes.shape != (count,) or sizes.dtype.kind != "i" or not (sizes >= 0).all():
             raise ValueError("thumbnail_sizes")
-        if sizes.sum() != arrays["thumbnails"].nbytes or len(head.sources) != count:
-            raise ValueError("thumbnails and sources")
+        hands = (None,) * count if head.hands is None else head.hands
+        if sizes.sum() != arrays["thumbnails"].nbytes or not len(head.sources) == len(hands) == count:
+            raise ValueError("thumbnails, sources and hands")
         index = cls(Space(head.prior, head.category, head.metric, factor), head.backend)
         pictures = io.BytesIO(arrays["thumbnails"].tobytes())
-        columns = zip(head.names, head.sources, sizes.tolist(), strict=True)
-        index.add_betas(betas, [Entry(name, source, pictures.read(size)) for name, source, size in columns])
+        columns = zip(head.names, head.sources, sizes.tolist(), hands, strict=True)
+        index.add_betas(betas, [Entry(name, source, pictures.read(size), hand) for name, source, size, hand in columns])
         index._covariances = covariances
         # a graph is for FAISS to read, which trusts it: one without a checksum is made anew
         if "graph" in arrays and head.sha256 is not None:
@@ -199,15 +227,24 @@ class ShapeIndex:
         return index
 
 
+def hit_of(entry: Entry, distance: float, query: Signature) -> Hit:
+    """An entry at a distance from the query."""
+    return Hit(entry, distance, entry.mirrored(query))
+
+
 def nearest_objects(search: Callable[[int], list[Hit]], count: int, entries: int) -> list[Hit]:
     """The ``count`` nearest objects, each by its nearest entry, of a catalogue of so many ``entries``; ``search`` gives
-    as many of the nearest of them as it is asked for."""
+    as many of the nearest of them as it is asked for. Mirror images come last, and only where there are not as many
+    objects of the query's own hand among ``MOST_ASKED`` entries."""
     asked = count
     while True:
         hits = search(asked)
-        objects = {hit.entry.name: hit for hit in reversed(hits)}  # the nearest entry is the last to be kept
-        if len(objects) >= count or asked >= entries or len(hits) < asked:
-            return sorted(objects.values(), key=lambda hit: hit.distance)[:count]
+        ranked = sorted(hits, key=lambda hit: (hit.mirrored is True, hit.distance))
+        objects = {hit.entry.name: hit for hit in reversed(ranked)}  # the nearest entry is the last to be kept
+        own = sum(hit.mirrored is not True for hit in objects.values())
+        enough = own >= count or (len(objects) >= count and asked >= MOST_ASKED)
+        if enough or asked >= entries or len(hits) < asked:
+            return sorted(objects.values(), key=lambda hit: (hit.mirrored is True, hit.distance))[:count]
         asked = min(4 * asked, entries)
 
 
@@ -223,6 +260,8 @@ class _Head:
     names: tuple[str, ...]
     sources: tuple[str, ...]
     sha256: str | None = None
+    hands: tuple[bool | None, ...] | None = None
+    """Of categories whose objects are of either hand; files of earlier versions do not say."""
 
 
 def _digest(arrays: dict[str, np.ndarray]) -> str:

@@ -42,7 +42,8 @@ def ranking_figure(observations: Sequence[Observation], hits: Sequence[Hit], uni
     for number, (panel, hit) in enumerate(zip(axes[len(observations) :], hits, strict=False), 1):
         if hit.entry.thumbnail:
             panel.imshow(_read(hit.entry.thumbnail))
-        panel.set_title(f"{number}. {hit.entry.name}\n{hit.distance:.3g} {unit}", fontsize=7)
+        mirror = " in the mirror" if hit.mirrored else ""
+        panel.set_title(f"{number}. {hit.entry.name}\n{hit.distance:.3g} {unit}{mirror}", fontsize=7)
     fig.subplots_adjust(left=0.01, right=0.99, bottom=0.01, top=0.86, wspace=0.05, hspace=0.3)
     return fig
 

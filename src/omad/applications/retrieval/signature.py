@@ -2,15 +2,17 @@
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, Self
 
 import numpy as np
 import torch
+from scipy.special import expit, logit
 
 from omad.common.arrays import as_doubles, numbers
 from omad.common.errors import InputError
 from omad.data.surface_bank import SurfaceBank
+from omad.estimation.checks import SURE_OF_HAND
 from omad.estimation.estimate import Estimate
 from omad.model.object_prior import object_keypoints
 from omad.model.prior import OmadPrior
@@ -19,6 +21,8 @@ from omad.objects.category import Category
 from omad.objects.model import SampledObject
 
 Metric = Literal["keypoints", "beta", "whitened"]
+SUREST, UNTOLD = 0.999, 0.6
+"""Probability of a hand beyond which none counts for more, and that of one of which nobody learned how to tell it."""
 
 
 @dataclass(frozen=True)
@@ -31,6 +35,21 @@ class Signature:
     """(D,)."""
     covariance: np.ndarray | None = None
     """(D, D) of beta; None where it is not known."""
+    mirrored_probability: float | None = None
+    """That the object is the mirror image of what beta says (``Estimate.of_other_hand``); None where its category has
+    one hand only, or nothing tells."""
+
+    @property
+    def of_other_hand(self) -> bool | None:
+        """Whether it is, where that is told surely."""
+        probability = self.mirrored_probability
+        sure = probability is not None and max(probability, 1 - probability) >= SURE_OF_HAND
+        return bool(probability > 0.5) if sure and probability is not None else None
+
+    def in_mirror(self) -> Self:
+        """That of the mirror image of the object."""
+        probability = self.mirrored_probability
+        return self if probability is None else replace(self, mirrored_probability=1 - probability)
 
 
 @dataclass(frozen=True)
@@ -82,7 +101,11 @@ def prior_fingerprint(prior: OmadPrior, category: Category) -> str:
 def estimate_signature(estimate: Estimate, prior: str) -> Signature:
     """Of an observed object; ``prior`` is the fingerprint of the estimator's."""
     covariance = estimate.covariance[-len(estimate.beta) :, -len(estimate.beta) :]
-    return Signature(prior, estimate.beta, covariance if np.isfinite(covariance).all() else None)
+    mirrored = None
+    if estimate.category.either_hand:
+        sure = UNTOLD if estimate.hand_probability is None else estimate.hand_probability
+        mirrored = sure if estimate.of_other_hand else 1 - sure
+    return Signature(prior, estimate.beta, covariance if np.isfinite(covariance).all() else None, mirrored)
 
 
 @torch.no_grad()
@@ -102,18 +125,46 @@ def information_factor(query: np.ndarray, usual: np.ndarray) -> np.ndarray:
         raise InputError("the covariances are none; leave out the weighting by information") from error
 
 
+def check_one_hand(signatures: Sequence[Signature]) -> list[str]:
+    """What to warn of where views that are said to be of one object look like objects of different hands. Raises
+    InputError where that is sure."""
+    hands = {signature.of_other_hand for signature in signatures}
+    if {True, False} <= hands:
+        cure = "they are of two objects; ask with those of each alone"
+        raise InputError(f"some of the views show an object, others one of the other hand (its mirror image): {cure}")
+    told = [one.mirrored_probability for one in signatures if one.mirrored_probability is not None]
+    if len({probability > 0.5 for probability in told}) > 1:
+        said = "some of the views look like an object of the other hand (a mirror image) and do not count"
+        return [f"hand: {said}: a door that is all but shut shows little of its hinges; ask with each view alone"]
+    return []
+
+
 def fuse(signatures: Sequence[Signature]) -> Signature:
     """One object's signature from several views of it: the mean, each weighted by its information (inverse covariance)
-    where all have one. Raises InputError for none, and for signatures of several priors."""
+    where all have one. Where some look like its mirror image only those of the likelier hand count. Raises InputError
+    for none, and for signatures of several priors."""
     if not signatures:
         raise InputError("no view to take a signature from; give at least one")
     if len({signature.prior for signature in signatures}) > 1:
         raise InputError("the views' signatures are of several priors; estimate all with the same weights")
+    mirrored, signatures = _of_likelier_hand(signatures)
     betas = np.stack([signature.beta for signature in signatures])
     covariances = [signature.covariance for signature in signatures if signature.covariance is not None]
     if len(covariances) < len(signatures):
-        return Signature(signatures[0].prior, betas.mean(0))
+        return Signature(signatures[0].prior, betas.mean(0), None, mirrored)
     information = np.linalg.inv(np.stack(covariances))
     covariance = np.linalg.inv(information.sum(0))
     beta = covariance @ np.einsum("vij,vj->i", information, betas)
-    return Signature(signatures[0].prior, beta, covariance)
+    return Signature(signatures[0].prior, beta, covariance, mirrored)
+
+
+def _of_likelier_hand(signatures: Sequence[Signature]) -> tuple[float | None, Sequence[Signature]]:
+    """Probability that the object is of the other hand, by the mean of the views' log-odds, and the views that agree;
+    all where nothing tells."""
+    told = [one.mirrored_probability for one in signatures if one.mirrored_probability is not None]
+    if len(told) < len(signatures):
+        return None, signatures
+    odds = logit(np.clip(told, 1 - SUREST, SUREST))
+    mirrored = bool(odds.mean() > 0)
+    agreeing = [one for one, own in zip(signatures, odds, strict=True) if (own > 0) == mirrored]
+    return float(expit(odds.mean())), agreeing

@@ -39,10 +39,12 @@ class ObjectTruth:
     """(J, 2)."""
     part_boxes: np.ndarray
     """(K, 2, 3) low and high corners of each part's box at rest."""
+    of_other_hand: bool = False
+    """The object is the mirror image of what is shown, as its model was imported so."""
 
     @classmethod
     def of(cls, model: ObjectModel) -> Self:
-        return cls(model.name, model.axes, model.pivots, model.limits, model.part_boxes())
+        return cls(model.name, model.axes, model.pivots, model.limits, model.part_boxes(), model.of_other_hand)
 
     @property
     def diagonal(self) -> float:

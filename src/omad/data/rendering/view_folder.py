@@ -2,7 +2,8 @@
 
     <folder>/dataset.json              category, camera, depth_scale (metres per stored integer), seed, noise, views
                                        (and clutter: true, see below)
-    <folder>/<object>/object.json      axes, pivots, limits, part_boxes (``standard_views.ObjectTruth``)
+    <folder>/<object>/object.json      axes, pivots, limits, part_boxes (``standard_views.ObjectTruth``), and
+                                       of_other_hand: true of a model that was imported as its mirror image
     <folder>/<object>/00000.json       states, T_camera_base, seed; written last, so it marks a whole view
     <folder>/<object>/00000.depth.png  16 bit, 0 = no measurement
     <folder>/<object>/00000.labels.png 8 bit part index, 255 = nothing
@@ -85,6 +86,7 @@ class _ObjectRecord:
     pivots: _PerJoint
     limits: Annotated[np.ndarray, Shape(None, 2)]
     part_boxes: Annotated[np.ndarray, Shape(None, 2, 3)]
+    of_other_hand: bool = False
 
     def __post_init__(self) -> None:
         if not (np.abs(np.linalg.norm(self.axes, axis=-1) - 1) < UNIT).all():
@@ -215,7 +217,8 @@ def render_to_folder(
         usual = {"clutter": False, "viewpoints": record["viewpoints"]}
         refuse_others(path, {**usual, **_read_json(dataset)}, record | {"clutter": clutter})
         for file, truth in truths.items():
-            if file.exists() and _read_json(file) != truth:
+            # earlier versions did not write all of it
+            if file.exists() and not _read_json(file).items() <= truth.items():
                 raise InputError(f"{path}: already holds another object {truth['name']}; choose another folder")
     record |= {"clutter": True} if clutter else {}
     write_json(dataset, {**record, "views": views, "finished": False})
@@ -332,7 +335,9 @@ def refuse_others(path: Path, before: dict[str, Any], record: dict[str, Any]) ->
 
 
 def _truth_record(model: ObjectModel) -> dict[str, Any]:
-    truth = vars(ObjectTruth.of(model))
+    truth = {**vars(ObjectTruth.of(model))}
+    if not model.of_other_hand:
+        del truth["of_other_hand"]
     return {key: value.tolist() if isinstance(value, np.ndarray) else value for key, value in truth.items()}
 
 

@@ -2,13 +2,14 @@
 
 import os
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from omad.common.errors import InputError
-from omad.common.incoming import as_path, readable
+from omad.common.incoming import as_path, is_file, read_json, readable
 from omad.objects.builtin import builtin_names
 from omad.objects.category import Category
 from omad.objects.category_file import get_category
@@ -20,6 +21,10 @@ from .articulation import RawArticulation, read_articulation
 from .links import label_parts
 from .shapes import MissingMeshes
 
+MIRRORED = "is the other way round than the spec says: taken as its mirror image"
+"""The note on a model of the other hand."""
+RECORD = "import.json"
+"""In a folder of imported models, beside their folders: where they come from."""
 UPRIGHT = 0.9
 """Cosine from which an axis points up."""
 
@@ -50,6 +55,8 @@ class FolderImport:
 
     models: list[ObjectModel]
     refused: list[Refusal]
+    notes: list[Refusal] = field(default_factory=list)
+    """What had to be put right about models that were taken in."""
 
 
 def load_folder(
@@ -62,13 +69,16 @@ def load_folder(
     """Import every object of ``folder``: one itself, or ``.urdf`` files, or one sub-folder an object, by name.
     Arguments as in ``import_model``. Objects that do not fit are listed with the reason. Raises InputError where
     ``folder`` does not exist or holds no object at all."""
-    models, refused = [], []
+    models, refused, notes = [], [], []
     for source in object_paths(folder):
         try:
-            models.append(import_model(source, category, scale, missing_meshes, mesh_folder))
+            found = import_with_notes(source, category, scale, missing_meshes, mesh_folder)
         except InputError as error:
             refused.append(Refusal(object_name(source), str(error)))
-    return FolderImport(models, refused)
+        else:
+            models.append(found.model)
+            notes += [Refusal(found.model.name, note) for note in found.notes]
+    return FolderImport(models, refused, notes)
 
 
 def import_model(
@@ -116,14 +126,28 @@ def _imported(
         aligned = align(label_parts(raw, category), category)
     except InputError as error:
         others = _fitting(raw, category, file.parent if normalised else None)
-        cure = f"; give --category {' or '.join(others)}, which it fits" if others else ""
+        cure = f"; it fits --category {' or '.join(others)}" if others else ""
         raise InputError(f"{file}: not usable as {category.name}: {error}{cure}") from error
-    notes += ["is the other way round than the spec says: taken as its mirror image"] if aligned.mirrored else []
+    of_other_hand = aligned.mirrored != (category.either_hand and _mirrored_before(path))
+    notes += [MIRRORED] if of_other_hand else []
     if odd := odd_size(aligned.model.diagonal, category):
         notes.append(f"{odd}: look at --scale, the metres per unit of its file")
     if stated.skipped:
         notes.append(f"is taken without {len(stated.skipped)} of its mesh files, which are missing")
-    return ImportedModel(replace(aligned.model, name=object_name(path)), notes, _up(aligned.R_canonical_source))
+    model = replace(aligned.model, name=object_name(path), of_other_hand=of_other_hand)
+    return ImportedModel(model, notes, _up(aligned.R_canonical_source))
+
+
+def _mirrored_before(path: Path) -> bool:
+    """Whether an earlier import wrote this model as the mirror image of what it had come from."""
+    record = next((file for folder in path.absolute().parents[:2] if is_file(file := folder / RECORD)), None)
+    found: Any = None
+    if record is not None:
+        with suppress(InputError):
+            found = read_json(record, "")
+    for key in ("notes", object_name(path)):
+        found = found.get(key) if isinstance(found, dict) else None
+    return isinstance(found, list) and MIRRORED in found
 
 
 def _fitting(raw: RawArticulation, category: Category, partnet_folder: Path | None) -> list[str]:

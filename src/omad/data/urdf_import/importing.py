@@ -12,7 +12,7 @@ import sys
 from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Self
 
@@ -27,10 +27,9 @@ from omad.objects.model import ObjectModel
 from omad.objects.urdf import mesh_files, write_urdf
 
 from .articulation import read_urdf
-from .folder import ImportedModel, Refusal, import_with_notes, object_name, object_paths
+from .folder import MIRRORED, RECORD, ImportedModel, Refusal, import_with_notes, object_name, object_paths
 from .shapes import MissingMeshes
 
-RECORD = "import.json"
 _NO_NAME = "\0\\:" if os.name == "nt" else "\0"
 
 
@@ -110,8 +109,9 @@ def _import_all(
                 record.write({})  # before the first file, so that whatever kills it leaves a folder that goes on
                 write_urdf(found.model, file)
                 record.add(name, stamp, found, [file, *mesh_files(found.model, file)])
-            models.append(read_urdf(file, category))
-            notes += [Refusal(name, note) for note in record.notes.get(name, [])]
+            said = record.notes.get(name, [])
+            models.append(replace(read_urdf(file, category), of_other_hand=MIRRORED in said))
+            notes += [Refusal(name, note) for note in said]
         except InputError as error:
             refused.append(Refusal(name, str(error)))
             record.drop(name)

@@ -16,7 +16,7 @@ from omad.common.files import make_folder
 from omad.common.incoming import read_arrays
 from omad.common.processes.locks import only_one
 
-from ..index import Entry, Hit, ShapeIndex, nearest_objects
+from ..index import Entry, Hit, ShapeIndex, hit_of, nearest_objects
 from ..search import Neighbours
 from ..signature import Signature, Space, information_factor
 from . import lists as ivf
@@ -122,10 +122,11 @@ class LargeIndex:
             distances = np.linalg.norm((self.betas_of(rows) - signature.beta) @ factor.T, axis=1)
             best = np.argsort(distances, kind="stable")[:count]
             rows, distances = rows[best], distances[best]
-        return [Hit(self.entry(int(row)), float(off)) for row, off in zip(rows, distances, strict=True)]
+        pairs = zip(rows.tolist(), distances.tolist(), strict=True)
+        return [hit_of(self.entry(row), off, signature) for row, off in pairs]
 
     def search_objects(self, signature: Signature, count: int = 10, by_information: bool = False) -> list[Hit]:
-        """As ``search``, but every object once, by its nearest entry."""
+        """As ``ShapeIndex.search_objects``."""
         return nearest_objects(lambda asked: self.search(signature, asked, by_information), count, len(self))
 
     def nearest(self, betas: np.ndarray, count: int) -> Neighbours:

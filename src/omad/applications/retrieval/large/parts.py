@@ -1,4 +1,5 @@
-"""Entries on disk: betas as an array, texts and pictures one after the other, and where each ends.
+"""Entries on disk: betas as an array, texts and pictures one after the other, and where each ends; where hands are
+known, a fourth number with the ends: 1 of an object of the other hand, 0 of none such, -1 of one that nobody knows.
 
 Whatever is asked for is read where it lies; a part of a million entries costs no memory.
 """
@@ -13,11 +14,12 @@ import numpy as np
 from omad.common.errors import InputError
 from omad.common.incoming import is_file, map_array
 
-from ..index import Entry
+from ..index import Entry, with_hands
 from ..signature import Signature
 from .manifest import CURE, StoredPart, to_disk
 
 BETAS, BLOB, ENDS = ".betas.npy", ".entries", ".ends.npy"
+UNKNOWN = -1
 
 
 @dataclass(frozen=True)
@@ -38,7 +40,8 @@ class Portion:
         """Of signatures of ``size`` numbers."""
         known = [signature.covariance for signature in signatures if signature.covariance is not None]
         betas = np.array([signature.beta for signature in signatures]).reshape(-1, size)
-        return cls(betas, entries, np.sum(known, axis=0) if known else np.zeros((size, size)), taken)
+        covariances = np.sum(known, axis=0) if known else np.zeros((size, size))
+        return cls(betas, with_hands(signatures, entries), covariances, taken)
 
     @property
     def bytes(self) -> int:
@@ -50,17 +53,19 @@ def write_part(folder: Path, name: str, portions: Sequence[Portion]) -> StoredPa
     """Under a new ``name``; on the disk when it returns."""
     betas, blob, ends = (folder / f"{name}{suffix}" for suffix in (BETAS, BLOB, ENDS))
     np.save(betas, np.concatenate([portion.betas for portion in portions]).astype(np.float32))
-    marks = []
+    marks, hands = [], []
     with blob.open("wb") as file:
         for portion in portions:
             for entry in portion.entries:
+                hands.append(UNKNOWN if entry.of_other_hand is None else int(entry.of_other_hand))
                 for field in (entry.name.encode(), entry.source.encode(), entry.thumbnail):
                     file.write(field)
                     marks.append(file.tell())
-    np.save(ends, np.array(marks, dtype=np.int64).reshape(-1, 3))
+    table = np.array(marks, dtype=np.int64).reshape(-1, 3)
+    np.save(ends, table if set(hands) == {UNKNOWN} else np.column_stack([table, hands]))
     for path in (betas, blob, ends):
         to_disk(path)
-    return StoredPart(name, len(marks) // 3, (betas.stat().st_size, blob.stat().st_size, ends.stat().st_size))
+    return StoredPart(name, len(hands), (betas.stat().st_size, blob.stat().st_size, ends.stat().st_size))
 
 
 class PartReader:
@@ -73,7 +78,8 @@ class PartReader:
                 raise InputError(f"{path}: missing or cut short; {CURE}")
         self.betas, self._ends = map_array(paths[0]), map_array(paths[2])
         self._blob = np.memmap(paths[1], np.uint8, "r") if stored.sizes[1] else np.zeros(0, np.uint8)
-        if self.betas.shape != (stored.entries, size) or self._ends.shape != (stored.entries, 3):
+        ends = [(stored.entries, 3), (stored.entries, 4)]
+        if self.betas.shape != (stored.entries, size) or self._ends.shape not in ends:
             raise InputError(f"{paths[0]}: is of another catalogue; {CURE}")
 
     def __len__(self) -> int:
@@ -82,8 +88,10 @@ class PartReader:
     def entry(self, row: int) -> Entry:
         """Raises InputError where it is damaged."""
         begin = int(self._ends[row - 1, 2]) if row else 0
-        marks = [begin, *self._ends[row].tolist()]
+        *ends, hand = [*self._ends[row].tolist(), UNKNOWN][:4]
+        marks = [begin, *ends]
         if sorted(marks) != marks or not 0 <= marks[0] <= marks[-1] <= len(self._blob):
             raise InputError(f"entry {row}: is damaged; {CURE}")
         name, source, thumbnail = (self._blob[low:high].tobytes() for low, high in zip(marks, marks[1:], strict=False))
-        return Entry(name.decode(errors="replace"), source.decode(errors="replace"), thumbnail)
+        of_other_hand = None if hand == UNKNOWN else hand > 0
+        return Entry(name.decode(errors="replace"), source.decode(errors="replace"), thumbnail, of_other_hand)
