@@ -19,7 +19,7 @@ Every file depends on the arguments alone: not on the number of processes, nor o
 
 import json
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -64,11 +64,11 @@ class _Dataset:
     category: str
     camera: Camera
     depth_scale: Annotated[float, Within(1e-9, 1e3)]
-    seed: int
-    noise: NoiseLevel | None
     objects: tuple[str, ...]
     views: Annotated[int, Within(0, 10_000_000)]
-    finished: bool
+    seed: int = 0
+    noise: NoiseLevel | None = None
+    finished: bool = True
     clutter: bool = False
 
     def __post_init__(self) -> None:
@@ -81,12 +81,12 @@ class _Dataset:
 class _ObjectRecord:
     """object.json."""
 
-    name: str
     axes: _PerJoint
     pivots: _PerJoint
     limits: Annotated[np.ndarray, Shape(None, 2)]
     part_boxes: Annotated[np.ndarray, Shape(None, 2, 3)]
     of_other_hand: bool = False
+    name: str | None = None
 
     def __post_init__(self) -> None:
         if not (np.abs(np.linalg.norm(self.axes, axis=-1) - 1) < UNIT).all():
@@ -102,7 +102,8 @@ class ViewRecord:
 
     states: Annotated[np.ndarray, Shape(None)]
     T_camera_base: Annotated[np.ndarray, Shape(4, 4)]
-    seed: tuple[int, ...]
+    seed: tuple[int, ...] | None = None
+    """None: that of its place in the folder."""
     camera: Camera | None = None
 
     def __post_init__(self) -> None:
@@ -146,11 +147,11 @@ class ViewFolder:
         """Without the first so many, which are not read."""
         truths = [_read_truth(self.path / name) for name in self.objects[: self.views]]
         for index in range(skip, self.views):
-            _, which, number = view_seed(index, len(self.objects), self.seed)
-            yield self._read(truths[which], number)
+            seed = view_seed(index, len(self.objects), self.seed)
+            yield self._read(truths[seed[1]], seed)
 
-    def _read(self, truth: ObjectTruth, number: int) -> View:
-        stem = self.path / truth.name / f"{number:05d}"
+    def _read(self, truth: ObjectTruth, seed: ViewSeed) -> View:
+        stem = self.path / truth.name / f"{seed[2]:05d}"
         record = read_record(ViewRecord, stem.with_suffix(".json"), CURE)
         depth = read_depth(stem.with_suffix(".depth.png"), self.depth_scale)
         labels = read_image(file := stem.with_suffix(".labels.png"), file)
@@ -162,7 +163,8 @@ class ViewFolder:
             raise InputError(f"{stem}: image sizes do not fit the camera; delete {stem}.json and render again")
         if len(record.states) != len(truth.axes):
             raise InputError(f"{stem}.json: states: {len(record.states)} for {len(truth.axes)} joints; {CURE}")
-        return View(truth, depth, labels, camera, record.states, record.T_camera_base, record.seed, mask)
+        seed = seed if record.seed is None else record.seed
+        return View(truth, depth, labels, camera, record.states, record.T_camera_base, seed, mask)
 
 
 def is_view_folder(folder: str | Path) -> bool:
@@ -346,9 +348,9 @@ def _read_truth(folder: Path) -> ObjectTruth:
     record = read_record(_ObjectRecord, file, CURE)
     if not len(record.axes) == len(record.pivots) == len(record.limits) == len(record.part_boxes) - 1:
         raise InputError(f"{file}: axes, pivots, limits and part_boxes are of different numbers of joints; {CURE}")
-    if record.name != folder.name:
+    if record.name not in (None, folder.name):
         raise InputError(f"{file}: name: is not the folder's; {CURE}")
-    return ObjectTruth(**vars(record))
+    return ObjectTruth(**vars(replace(record, name=folder.name)))
 
 
 def _read_json(path: Path) -> dict[str, Any]:
