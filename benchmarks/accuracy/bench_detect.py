@@ -5,7 +5,9 @@
 Scenes are of three to six objects on a table (laptops, eyeglasses) or a floor (dishwashers, drawer cabinets), boxes and
 cans among them, with camera noise: unseen procedural objects at their real sizes. In ``shrunk`` scenes dishwashers and
 cabinets are shrunk to 0.45 m, a size that no network was trained for. ``small`` and ``large`` scenes are of all
-categories with weights that stand by themselves. An object is found where an answer of its
+categories with weights that stand by themselves. ``raised`` scenes are of laptops and eyeglasses on a table that ends
+beside them, over a floor; ``walled`` ones of the same before a wall, and ``room`` ones of dishwashers and cabinets on a
+floor before a wall. An object is found where an answer of its
 category shares half of its pixels with it; any other answer that names a category is false. ``--fit`` works on objects
 of the training split instead, and writes the weights that detection uses.
 """
@@ -26,7 +28,7 @@ from scipy.special import log_softmax
 from omad.applications.detection.detector import Detection, Detector
 from omad.applications.detection.judgement import Judgement
 from omad.data.rendering.depth_noise import ON
-from omad.data.rendering.tabletop import Placed, Tabletop, draw_tabletop
+from omad.data.rendering.tabletop import Placed, Surroundings, Tabletop, draw_tabletop
 from omad.estimation.categories.late import LateEstimator
 from omad.model.checkpoint import shipped_categories
 from omad.objects.category_file import get_category
@@ -38,13 +40,16 @@ SIZES = {name: get_category(name).metres_per_unit for name in shipped_categories
 LARGE = 0.35
 """Metres a unit."""
 KINDS = {
-    "table": (("laptop", "eyeglasses"), np.inf),
-    "floor": (("dishwasher", "drawer"), np.inf),
-    "shrunk": (("laptop", "eyeglasses", "dishwasher", "drawer"), 0.45),
-    "small": (tuple(name for name, size in SIZES.items() if size < LARGE), np.inf),
-    "large": (tuple(name for name, size in SIZES.items() if size >= LARGE), np.inf),
+    "table": (("laptop", "eyeglasses"), np.inf, None),
+    "floor": (("dishwasher", "drawer"), np.inf, None),
+    "shrunk": (("laptop", "eyeglasses", "dishwasher", "drawer"), 0.45, None),
+    "small": (tuple(name for name, size in SIZES.items() if size < LARGE), np.inf, None),
+    "large": (tuple(name for name, size in SIZES.items() if size >= LARGE), np.inf, None),
+    "raised": (("laptop", "eyeglasses"), np.inf, Surroundings(raised=True)),
+    "walled": (("laptop", "eyeglasses"), np.inf, Surroundings(raised=True, wall=True)),
+    "room": (("dishwasher", "drawer"), np.inf, Surroundings(wall=True)),
 }
-"""Categories of the scenes, and the largest diagonal in metres."""
+"""Categories of the scenes, the largest diagonal in metres, and what is around them."""
 OVERLAP = 0.5
 NUMBERS = 13
 """Of the evidence."""
@@ -69,9 +74,10 @@ class Config:
 
 
 def scenes(config: Config, kind: int, split: Literal["train", "test"]) -> Iterator[Tabletop]:
-    categories, largest = list(KINDS.values())[kind]
+    categories, largest, around = list(KINDS.values())[kind]
     for index in range(config.scenes):
-        yield draw_tabletop(categories, (index + 1000 * config.seed, kind), split, ON, largest)
+        seed = index + 1000 * config.seed, kind
+        yield draw_tabletop(categories, seed, split, ON, largest, surroundings=around)
 
 
 def shared(found: Detection, placed: Placed, scene: Tabletop) -> float:

@@ -85,6 +85,13 @@ def test_where_there_is_none_it_is_said_with_a_cure() -> None:
         finder("laptop")(Observation.from_depth(table, STANDARD_CAMERA))
 
 
+def test_one_thing_of_the_wrong_size_is_told_of_as_one() -> None:
+    depth = np.full((480, 640), 1.0, dtype=np.float32)
+    depth[200:260, 300:360] = 0.9
+    with pytest.raises(NothingSeen, match=r"no dishwasher: the one thing that stands before .* is 0.1. m large"):
+        finder("dishwasher")(Observation.from_depth(depth, STANDARD_CAMERA))
+
+
 def test_an_object_that_was_cut_out_already_is_left_as_it_is() -> None:
     placed = next(placed for placed in scene(0).objects if placed.category == "eyeglasses")
     alone = Observation.from_depth(np.where(placed.mask, scene(0).depth, 0), scene(0).camera)

@@ -15,8 +15,9 @@ from omad.applications.detection.judgement import Judgement
 from omad.data.procedural import generate
 from omad.data.rendering.depth_noise import ON
 from omad.data.rendering.standard_views import standard_view
-from omad.data.rendering.tabletop import Placed, Tabletop, draw_tabletop
+from omad.data.rendering.tabletop import Placed, Surroundings, Tabletop, draw_tabletop
 from omad.estimation.categories.fronts import front_says
+from omad.geometry.camera import STANDARD_CAMERA
 from omad.model.fronts.network import shipped_front_net
 from omad.objects.category_file import get_category
 
@@ -51,6 +52,32 @@ def test_most_objects_of_a_table_are_found_and_few_answers_are_false() -> None:
         right += sum(any(o.category == p.category and shared(o, p) > 0.3 for p in objects) for o in sure)
     assert found >= 0.8 * there
     assert right >= 0.8 * named
+
+
+def test_objects_on_a_table_over_a_floor_are_found() -> None:
+    there = found = 0
+    for index in range(2):
+        drawn = draw_tabletop(NAMES, (index, 5), "test", ON, surroundings=Surroundings(raised=True))
+        named = omad.detect(drawn.depth, drawn.camera, NAMES)
+        wanted = [placed for placed in drawn.objects if placed.category and placed.to_be_found]
+        there += len(wanted)
+        found += sum(any(one.category == p.category and shared(one, p) > 0.5 for one in named) for p in wanted)
+    assert there >= 4
+    assert found >= 0.8 * there
+
+
+def test_where_no_table_was_told_from_what_stands_on_it_that_is_said() -> None:
+    rows, columns = np.mgrid[:480, :640]
+    across, along = (columns - 319.5) / 320, (rows - 239.5) / 240
+    bowl = (1 + 0.4 * across**2 + 0.4 * along**2).astype(np.float32)
+    ball = np.where(across**2 + along**2 < 0.9, 2 - 0.5 * np.sqrt(np.maximum(1 - across**2 - along**2, 0)), 2.5)
+    inner = np.where((np.abs(across) < 0.8) & (np.abs(along) < 0.8), bowl, 0)
+    said = [
+        Detector([]).look(omad.Observation.from_depth(depth, STANDARD_CAMERA)).doubts
+        for depth in (bowl, ball, inner, np.where(across < -0.5, ball, 2.5))
+    ]
+    assert ["no table, floor or wall was found" in " ".join(doubts) for doubts in said] == [True, False, False, False]
+    assert ["holds 7" in " ".join(doubts) for doubts in said] == [False, True, False, False]
 
 
 def test_every_thing_is_answered_and_says_how_sure_it_is() -> None:

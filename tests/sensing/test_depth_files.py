@@ -49,6 +49,18 @@ def test_depth_arrays(tmp_path: Path, dtype: type) -> None:
         assert np.allclose(read_depth(tmp_path / name), expected)
 
 
+@pytest.mark.parametrize(("dtype", "stored"), [("u2", 65535), ("i4", 65535), ("i4", 2**31 - 1), ("i2", 32767)])
+def test_the_largest_integer_is_no_measurement(tmp_path: Path, dtype: str, stored: int) -> None:
+    image = DEPTH_MM.astype(dtype)
+    image[1, 2] = stored
+    np.save(tmp_path / "depth.npy", image)
+    expected = DEPTH_MM / 1000
+    expected[1, 2] = 0
+    assert np.allclose(read_depth(tmp_path / "depth.npy"), expected)
+    np.save(tmp_path / "depth.npy", image.astype(np.float32))
+    assert read_depth(tmp_path / "depth.npy")[1, 2] == np.float32(stored)
+
+
 def test_depth_errors_say_what_to_do(tmp_path: Path) -> None:
     with pytest.raises(InputError) as error:
         read_depth(tmp_path / "none.png")

@@ -1,13 +1,18 @@
 """Cutting a thing out of a cloud, by its two steps: planes of known place, and clusters against SciPy's."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
+from omad.data.rendering.depth_noise import ON, NoiseLevel
+from omad.data.rendering.tabletop import Surroundings, Tabletop, draw_tabletop
 from omad.sensing.cutting.clusters import GAP, SPARSE, VOXEL, prominent_cluster
 from omad.sensing.cutting.segmentation import segment_on_plane, things_before_planes
+from omad.sensing.observation import Observation
 
 
 def clusters_by_scipy(points: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, float]:
@@ -106,3 +111,70 @@ def test_noise_of_a_plane_is_no_thing_and_does_not_join_things() -> None:
     assert (thing[ball] == 2).mean() > 0.97
     assert len(found.planes) == 2
     assert 0.001 < found.lowest < 0.05
+
+
+def test_of_a_neighbour_that_reaches_in_nothing_is_taken() -> None:
+    rows, columns = (axis.ravel() for axis in np.mgrid[:120, :160])
+    ray = np.stack([(columns - 79.5) / 160, (rows - 59.5) / 160, np.ones(len(rows))], 1)
+    one = (np.abs(columns - 44) < 19) & (np.abs(rows - 60) < 25)
+    other = (np.abs(columns - 84) < 19) & (np.abs(rows - 60) < 25)
+    points = ray * np.where(one | other, 1.4, 2.0)[:, None]
+    found = segment_on_plane(points, (columns > 20) & (columns < 80) & (rows > 30) & (rows < 90))
+    assert not found.selected[other].any()
+    assert found.selected[one].mean() > 0.99
+
+
+def test_numbers_far_behind_everything_do_not_decide_what_is_a_plane() -> None:
+    points, thing, _ = scene(0.0, 0)
+    stray = np.random.default_rng(0).random(len(points)) < 0.05
+    points = np.where(stray[:, None], points * (65.535 / points[:, 2:]), points)
+    found = things_before_planes(points, 150)
+    assert len(found.planes) == 2
+    assert max((thing[cluster] == 2).sum() for cluster in found.clusters) > 0.9 * ((thing == 2) & ~stray).sum()
+
+
+def things_found(drawn: Tabletop, share: float = 0.7) -> tuple[int, int, int]:
+    """Objects of which a thing has that share in common, objects there are, and planes found."""
+    seen = Observation.from_depth(drawn.depth, drawn.camera)
+    found = things_before_planes(seen.points, 150)
+    wanted = [placed.mask[tuple(seen.pixels.T[::-1])] for placed in drawn.objects if placed.to_be_found]
+    shares = [
+        max(np.count_nonzero(mask[thing]) / np.count_nonzero(mask | _of(thing, mask)) for thing in found.clusters)
+        for mask in wanted
+    ]
+    return sum(one > share for one in shares), len(wanted), len(found.planes)
+
+
+def _of(index: np.ndarray, like: np.ndarray) -> np.ndarray:
+    mask = np.zeros_like(like)
+    mask[index] = True
+    return mask
+
+
+def table_scene(seed: int, noise: NoiseLevel | None = None, around: Surroundings | None = None) -> Tabletop:
+    return draw_tabletop(("laptop", "microwave"), (seed, 3), noise=noise, surroundings=around)
+
+
+@pytest.mark.parametrize("noise", [None, ON])
+@pytest.mark.parametrize("wall", [False, True])
+def test_what_stands_on_a_table_over_a_floor_is_found(noise: NoiseLevel | None, wall: bool) -> None:
+    found, there, planes = np.sum([things_found(table_scene(i, noise, Surroundings(True, wall))) for i in range(3)], 0)
+    on_board, there_too, boards = np.sum([things_found(table_scene(i, noise)) for i in range(3)], 0)
+    assert there == there_too
+    assert found >= on_board - 1 >= 0.8 * there
+    assert planes >= 2 * boards == 6
+
+
+@pytest.mark.parametrize("columns", [60, 150, 300])
+def test_however_little_of_the_floor_is_seen(columns: int) -> None:
+    over_floor, endless = table_scene(0, None, Surroundings(raised=True)), table_scene(0)
+    depth = np.hstack([endless.depth[:, :-columns], over_floor.depth[:, -columns:]])
+    found, there, planes = things_found(replace(endless, depth=depth))
+    assert (found, planes) == (there, 2)
+
+
+def test_faces_of_objects_are_no_tables() -> None:
+    for kind, names in enumerate((("laptop", "suitcase"), ("dishwasher", "drawer"), ("microwave", "lidded_box"))):
+        for i in range(2):
+            drawn = draw_tabletop(names, (i, kind), noise=ON)
+            assert things_found(drawn)[2] == 1

@@ -35,13 +35,17 @@ MILLIMETRES = 1e-3
 """Metres per stored integer of a depth image that does not say otherwise."""
 
 
+NOTHING_BACK = 2**16 - 1
+"""What drivers write into images of 16 bits where nothing came back; readers may hold these in wider integers."""
+
+
 def read_depth(
     path: str | Path, depth_scale: float | None = None, metres_per_integer: float = MILLIMETRES
 ) -> np.ndarray:
-    """Depth image (H, W) float32 in metres; 0 and what is not finite mean no measurement. PNG, TIFF, or an array (NPY,
-    NPZ with one array or one named ``depth``): stored numbers times ``depth_scale``; without, integers times
-    ``metres_per_integer``, and floats as they are. Raises InputError for a missing, unreadable or 8-bit file and for a
-    wrong shape."""
+    """Depth image (H, W) float32 in metres; 0 and what is not finite mean no measurement, and so does the largest
+    integer of its kind. PNG, TIFF, or an array (NPY, NPZ with one array or one named ``depth``): stored numbers times
+    ``depth_scale``; without, integers times ``metres_per_integer``, and floats as they are. Raises InputError for a
+    missing, unreadable or 8-bit file and for a wrong shape."""
     path = _existing(path, DEPTH_FORMATS, "depth image")
     stored = read_array(path, "depth") if path.suffix.lower() in ARRAY_FORMATS else read_image(path, path)
     return _checked_depth(stored, path, depth_scale, metres_per_integer)
@@ -75,7 +79,8 @@ def parse_stored(stored: bytes, key: str, name: str, mode: str | None = None) ->
 def in_metres(
     stored: np.ndarray, depth_scale: float | None = None, metres_per_integer: float = MILLIMETRES
 ) -> np.ndarray:
-    """Depth image (H, W) float32 in metres of stored numbers, as ``read_depth`` takes them. Raises InputError."""
+    """Depth image (H, W) float32 in metres of stored numbers, as ``read_depth`` takes them; the largest integer of
+    their kind becomes 0, for drivers write it where nothing came back. Raises InputError."""
     stored = stored[..., 0] if stored.ndim == 3 and stored.shape[2] == 1 else stored
     if stored.ndim != 2 or stored.dtype == np.uint8:
         cure = "(8-bit or colour images hold too few depth steps); export 16-bit single-channel depth"
@@ -86,6 +91,10 @@ def in_metres(
     metres = np.empty(stored.shape, dtype=np.float32)
     scale = np.float64(usual if depth_scale is None else depth_scale)
     np.multiply(stored, scale, out=metres, dtype=np.float64, casting="same_kind")  # in blocks, unlike astype
+    if stored.dtype.kind != "f":
+        largest = stored.max(initial=0)
+        if largest in (np.iinfo(stored.dtype).max, NOTHING_BACK):
+            metres[stored == largest] = 0
     return metres
 
 

@@ -51,7 +51,10 @@ class ObjectFinder:
             raise NothingSeen(f"no {names}: nothing stands {where}; {cure}")
         if not candidates:
             sizes = sorted(float(np.linalg.norm(np.ptp(thing.observation.points, axis=0))) for thing in things)
-            what = f"{len(things)} things of {sizes[0]:.2g} to {sizes[-1]:.2g} m stand {where}, none is about as large"
+            count = len(things)
+            what = f"{count} things of {sizes[0]:.2g} to {sizes[-1]:.2g} m stand {where}, none is about as large"
+            if count == 1:
+                what = f"the one thing that stands {where} is {sizes[0]:.2g} m large, which is not its size"
             usual = [USUAL_SIZE * estimator.category.metres_per_unit for estimator in self.detector.estimators]
             scale = wrong_scale(float(np.median(sizes)), float(np.median(usual)))
             told = f"{scale.why}: {scale.cure}" if scale else "check the depth scale"

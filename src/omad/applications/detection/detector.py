@@ -16,7 +16,7 @@ from omad.geometry.rigid import box as bounds
 from omad.model.checkpoint import shipped_categories
 from omad.model.proposals.network import Proposer, shipped_proposer
 from omad.sensing.cutting.angles import angle_doubts
-from omad.sensing.cutting.segmentation import things_alone, things_before_planes
+from omad.sensing.cutting.segmentation import WITHIN, things_alone, things_before_planes
 from omad.sensing.observation import Observation
 from omad.sensing.steadying import steadied
 
@@ -28,11 +28,11 @@ SURE = 0.5
 """An object is of a category that is at least so likely; what reaches this for no category is none of them."""
 NONE = "none"
 """Of the categories, where they are names."""
-WITHIN = 0.5
-"""A thing with this share of its points in a box is what the box is about; its neighbours only reach inside."""
 MARGIN, TOUCHED = 0.05, 0.02
 """A margin as wide as this share of the image; the share of it that is measured in frames that show more than what was
 cut out."""
+MOST = 0.5
+"""Where one thing holds more than this share of what a frame shows, it may be a table with all that is on it."""
 CLEAR = 8.0
 """What is so many times as high as the lowest thing that can be told from a plane is seen well enough."""
 
@@ -112,7 +112,7 @@ class Look:
     too_flat: tuple[str, ...]
     """Those of the categories whose objects, laid flat, are about so low."""
     doubts: tuple[str, ...]
-    """Of the camera, by how table, floor and walls stand to each other."""
+    """Of the camera, by how table, floor and walls stand to each other; and of these, where they may not be found."""
     support_plane: np.ndarray | None
     """(4,) n . p = d of points p, metres, camera frame, n towards the camera: the largest of table, floor and walls."""
 
@@ -147,7 +147,7 @@ class Detector:
             if any(one.category for one in alone):
                 judged, found = alone, replace(found, planes=found.planes[:0])
         flat = tuple(e.category.name for e in self.estimators if _height(e) < CLEAR * found.lowest)
-        doubts = angle_doubts(found.planes)
+        doubts = (*angle_doubts(found.planes), *_unsupported(frame, found.planes, judged))
         return Look(judged, found.lowest, flat, doubts, found.planes[0] if len(found.planes) else None)
 
     def scale_doubts(self, look: Look, depth_scale: float | None) -> Iterator[str]:
@@ -231,6 +231,19 @@ def measured_margin(frame: Observation) -> float:
     inner = frame.mask[down : height - down, across : width - across]
     seen = np.count_nonzero(frame.mask) - np.count_nonzero(inner)
     return seen / (frame.mask.size - inner.size)
+
+
+def _unsupported(frame: Observation, planes: np.ndarray, judged: Sequence[Detection]) -> Iterator[str]:
+    """What speaks for a table, floor or wall that was not told from what stands on it, among ``planes`` (P, 4); nothing
+    where the frame shows what was cut out already."""
+    if measured_margin(frame) < TOUCHED:
+        return
+    so = "what stands on it is one thing with it: give omad estimate a mask"
+    share = max((len(one.observation.points) for one in judged if one.category is None), default=0) / len(frame.points)
+    if not len(planes):
+        yield f"no table, floor or wall was found; where there is one, {so}"
+    elif share > MOST:
+        yield f"a thing of none of the categories holds {share:.0%} of what the frame shows; if that is a table, {so}"
 
 
 def _of_box(things: Sequence[np.ndarray], inside: np.ndarray | None) -> list[np.ndarray]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import Literal
 
 import numpy as np
@@ -35,6 +36,14 @@ FILLS = 0.85
 """Of the image's width or height, by the objects."""
 SEEN, MIN_PIXELS = 0.6, 500
 """An object is there to be found where this share of it is seen, and so many pixels."""
+TABLE_HEIGHT, TABLE_BOARD, TABLE_LEG = (0.4, 0.9), 0.03, 0.05
+"""Metres, of a table that stands on a floor; its legs are square."""
+TABLE_EDGE = (0.05, 0.4)
+"""Metres from the objects to each edge of such a table."""
+BEFORE_WALL = (0.02, 1.0)
+"""Metres from the objects or from the table's edge to the wall behind."""
+ROOM = 10.0
+"""Metres to every side: its floor and wall run out of the image."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +76,16 @@ class Tabletop:
 
 
 @dataclass(frozen=True)
+class Surroundings:
+    """What the objects stand on, and before."""
+
+    raised: bool = False
+    """On a table with legs, which ends beside them, over a floor; otherwise on the floor itself."""
+    wall: bool = False
+    """Before a wall."""
+
+
+@dataclass(frozen=True)
 class _Thing:
     category: str | None
     states: np.ndarray
@@ -86,10 +105,12 @@ def draw_tabletop(
     noise: NoiseLevel | None = None,
     largest: float = np.inf,
     camera: Camera = STANDARD_CAMERA,
+    surroundings: Surroundings | None = None,
 ) -> Tabletop:
-    """Objects of ``categories`` beside boxes and cans on a board; the same for the same arguments. Objects have their
-    real sizes, but for those with a diagonal of more than ``largest`` metres, which are shrunk to that; ``split`` is
-    that of ``generate``, ``seed`` any non-negative integers."""
+    """Objects of ``categories`` beside boxes and cans on a board that fills the image, or in other ``surroundings``;
+    the same for the same arguments. Objects have their real sizes, but for those with a diagonal of more than
+    ``largest`` metres, which are shrunk to that; ``split`` is that of ``generate``, ``seed`` any non-negative
+    integers."""
     rng = np.random.default_rng(list(seed))
     count = int(rng.integers(*OBJECTS, endpoint=True))
     others = min(int(rng.binomial(count, OTHERS)), count // 2)
@@ -102,7 +123,10 @@ def draw_tabletop(
         thing.mesh.warped(lambda vertices, at=at: vertices + at)
         for thing, at in zip(things, _places(things, rng), strict=True)
     ]
-    return _seen(things, placed, camera, noise, rng)
+    everything = np.concatenate([mesh.vertices for mesh in placed])
+    [aside] = rng.spawn(1)  # the same objects and view in all surroundings
+    around = _board(everything) if surroundings is None else _room(everything, surroundings, aside)
+    return _seen(things, placed, around, camera, noise, rng)
 
 
 def _of_category(name: str, split: Literal["train", "test"], largest: float, rng: np.random.Generator) -> _Thing:
@@ -145,13 +169,44 @@ def _apart(one: _Thing, other: _Thing) -> float:
     return one.radius + other.radius + CLEARANCE * max(one.radius, other.radius)
 
 
+def _board(points: np.ndarray) -> Mesh:
+    """A board under ``points`` (V, 3) that reaches far beyond them."""
+    low, high = bounds(points)
+    size = float(np.linalg.norm(high - low))
+    return box((low[0] - size, -0.05 * size, low[2] - size), (high[0] + size, 0.0, high[2] + size))
+
+
+def _room(points: np.ndarray, surroundings: Surroundings, rng: np.random.Generator) -> Mesh:
+    """Floor, and where they are there table and wall, about ``points`` (V, 3) that stand at y = 0."""
+    low, high = bounds(points)
+    x0, z0 = low[[0, 2]] - rng.uniform(*TABLE_EDGE, 2)
+    x1, z1 = high[[0, 2]] + rng.uniform(*TABLE_EDGE, 2)
+    floor = -float(rng.uniform(*TABLE_HEIGHT))
+    behind = float(rng.uniform(*BEFORE_WALL))
+    meshes = list[Mesh]()
+    if surroundings.raised:
+        meshes.append(box((x0, -TABLE_BOARD, z0), (x1, 0.0, z1)))
+        corners = product((x0, x1 - TABLE_LEG), (z0, z1 - TABLE_LEG))
+        meshes += [box((x, floor, z), (x + TABLE_LEG, -TABLE_BOARD, z + TABLE_LEG)) for x, z in corners]
+    else:
+        floor, z0 = 0.0, low[2]
+    wall = z0 - behind
+    back = wall if surroundings.wall else z0 - ROOM
+    meshes.append(box((x0 - ROOM, floor - TABLE_BOARD, back), (x1 + ROOM, floor, z1 + ROOM)))
+    if surroundings.wall:
+        meshes.append(box((x0 - ROOM, floor, wall - TABLE_BOARD), (x1 + ROOM, floor + ROOM, wall)))
+    return merge_meshes(meshes)
+
+
 def _seen(
-    things: Sequence[_Thing], placed: Sequence[Mesh], camera: Camera, noise: NoiseLevel | None, rng: np.random.Generator
+    things: Sequence[_Thing],
+    placed: Sequence[Mesh],
+    around: Mesh,
+    camera: Camera,
+    noise: NoiseLevel | None,
+    rng: np.random.Generator,
 ) -> Tabletop:
     everything = np.concatenate([mesh.vertices for mesh in placed])
-    low, high = bounds(everything)
-    size = float(np.linalg.norm(high - low))
-    around = box((low[0] - size, -0.05 * size, low[2] - size), (high[0] + size, 0.0, high[2] + size))
     pose = _framing(everything, camera, rng.uniform(*ELEVATION), rng.uniform(-0.15, 0.15) * np.pi)
     shown = around.carried(pose)
     merged = rasterise(shown.vertices, shown.faces, np.zeros(len(shown.faces), dtype=np.uint8), camera)

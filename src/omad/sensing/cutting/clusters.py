@@ -36,10 +36,7 @@ def prominent_cluster(points: np.ndarray, distance: np.ndarray, weights: np.ndar
     # size counts, not points: glasses seen from their edge are as much a thing as the box beside them
     central = np.bincount(labels, np.bincount(cell_of, weights) * dense)
     central /= np.maximum(np.bincount(labels, count * dense), 1)
-    low, high = np.tile([[[cells.max()]], [[cells.min()]]], (1, len(central), 3))
-    np.minimum.at(low, labels, cells)
-    np.maximum.at(high, labels, cells)
-    weight = central * np.square(high - low + 1.0).sum(1)
+    weight = central * np.square(_extents(cells, labels) + 1.0).sum(1)
     best = int(weight.argmax())
 
     core = cells[labels == best]
@@ -63,8 +60,8 @@ def all_clusters(points: np.ndarray, distance: np.ndarray, least: int) -> list[n
     labels = _touching(voxels.keys, voxels.steps, dense)
     kept = dense & (np.bincount(labels, count)[labels] >= least / 10)
     size = np.zeros(labels.max() + 1)
-    for label in np.unique(labels[kept]):
-        size[label] = np.linalg.norm(np.ptp(voxels.cells[kept & (labels == label)], axis=0) + 1.0)
+    held = np.unique(labels[kept])
+    size[held] = np.linalg.norm(_extents(voxels.cells, labels)[held] + 1.0, axis=1)
     owner = np.full(len(size), -1)
     for core in np.argsort(-size, kind="stable")[: np.count_nonzero(size)]:
         if owner[core] >= 0:
@@ -78,6 +75,14 @@ def all_clusters(points: np.ndarray, distance: np.ndarray, least: int) -> list[n
     of_point = np.where(kept, owner[labels], -1)[voxels.cell_of]
     things = [np.flatnonzero(of_point == core) for core in np.flatnonzero(owner == np.arange(len(owner)))]
     return sorted((thing for thing in things if len(thing) >= least), key=len, reverse=True)
+
+
+def _extents(cells: np.ndarray, labels: np.ndarray) -> np.ndarray:
+    """(L, 3) how far the ``cells`` (V, 3) of each of L ``labels`` (V,) reach along the axes."""
+    low, high = np.tile([[[cells.max()]], [[cells.min()]]], (1, labels.max() + 1, 3))
+    np.minimum.at(low, labels, cells)
+    np.maximum.at(high, labels, cells)
+    return high - low
 
 
 @dataclass(frozen=True)

@@ -4,11 +4,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .cloud import Cloud, framed, some_of
 from .clusters import all_clusters, prominent_cluster
-from .planes import some_of, take_planes_away
+from .planes import take_planes_away
+from .tables import take_tables_away
 
 RIVAL = 0.5
 """Another cluster with this share of the chosen one's weight makes the choice doubtful."""
+WITHIN = 0.5
+"""A thing with this share of its points where one looks is what is looked for; its neighbours only reach inside."""
+NEIGHBOUR = 50
+"""Points of the smallest thing that may be a neighbour."""
 
 
 @dataclass(frozen=True)
@@ -25,21 +31,35 @@ class Segment:
 
 def segment_on_plane(points: np.ndarray, inside: np.ndarray | None = None) -> Segment:
     """Find table, floor and walls in a camera-frame cloud (N, 3) and select the most prominent cluster before them.
-    ``inside`` (N,) bool says where the object is looked for; the planes are found in the whole cloud. A cluster's
-    weight is its squared size, more in the middle of the frame (or of what is inside) than at its border.
+    ``inside`` (N,) bool says where the object is looked for; the planes are found in the whole cloud, and what reaches
+    inside of things that mostly lie elsewhere is left out. A cluster's weight is its squared size, more in the middle
+    of the frame (or of what is inside) than at its border.
     Deterministic: the same cloud gives the same answer."""
-    columns, distance, place = _columns(points)
-    before = take_planes_away(columns, distance, place)
-    left = before.left
+    cloud = Cloud.of(points)
+    before = take_tables_away(cloud, take_planes_away(cloud))
+    left = before.left.copy()
     if inside is not None and not inside.all():
         left &= inside
-        place = np.zeros_like(place)
-        place[:, inside] = _place(columns[:2, inside] / np.maximum(columns[2, inside], 1e-9))
+        left[_neighbours(cloud, before.left, inside)] = False
     index = np.flatnonzero(left)
-    central = (1 - np.abs(place.take(index, 1))).prod(0)
-    chosen, rival = prominent_cluster(columns.take(index, 1), distance[index], central)
+    place = cloud.place.take(index, 1)
+    if inside is not None:
+        place = framed(place, cloud.place.take(some_of(np.flatnonzero(inside)), 1))
+    central = (1 - np.abs(place)).prod(0)
+    chosen, rival = prominent_cluster(cloud.points.take(index, 1), cloud.distance[index], central)
     left[index] = chosen
     return Segment(left, before.planes, rival)
+
+
+def _neighbours(cloud: Cloud, left: np.ndarray, inside: np.ndarray) -> np.ndarray:
+    """Indices of the points ``left`` (N,) of things that only reach ``inside`` (N,), with less than a thing that mostly
+    lies there has."""
+    index = np.flatnonzero(left)
+    things = [index[thing] for thing in all_clusters(cloud.points.take(index, 1), cloud.distance[index], NEIGHBOUR)]
+    seen = [np.count_nonzero(inside[thing]) for thing in things]
+    most = max((count for count, thing in zip(seen, things, strict=True) if count >= WITHIN * len(thing)), default=0)
+    beside = [thing for count, thing in zip(seen, things, strict=True) if count < min(most, WITHIN * len(thing))]
+    return np.concatenate([np.zeros(0, dtype=int), *beside])
 
 
 @dataclass(frozen=True)
@@ -56,31 +76,14 @@ class Things:
 
 def things_before_planes(points: np.ndarray, least: int) -> Things:
     """All things of at least ``least`` points before table, floor and walls in a camera-frame cloud (N, 3)."""
-    columns, distance, place = _columns(points)
-    before = take_planes_away(columns, distance, place)
+    cloud = Cloud.of(points)
+    before = take_tables_away(cloud, take_planes_away(cloud))
     index = np.flatnonzero(before.left)
-    clusters = [index[thing] for thing in all_clusters(columns.take(index, 1), distance[index], least)]
+    clusters = [index[thing] for thing in all_clusters(cloud.points.take(index, 1), cloud.distance[index], least)]
     return Things(clusters, before.planes, before.lowest)
 
 
 def things_alone(points: np.ndarray, least: int) -> list[np.ndarray]:
     """Indices of each thing of at least ``least`` points in a camera-frame cloud (N, 3) without surroundings."""
-    columns, distance, _ = _columns(points)
-    return all_clusters(columns, distance, least)
-
-
-def _columns(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A cloud (N, 3) as (3, N) float32, the distance of each point (N,), and its place in the frame (2, N)."""
-    columns = np.ascontiguousarray(points.T, dtype=np.float32)
-    distance = np.sqrt(np.einsum("an,an->n", columns, columns))
-    return columns, distance, _place(columns[:2] / np.maximum(columns[2], 1e-9))
-
-
-def _place(rays: np.ndarray) -> np.ndarray:
-    """(2, N) place of rays (2, N) in the frame, -1 to 1; the frame is what they span."""
-    if not rays.size:
-        return rays
-    low, high = np.quantile(some_of(rays), (0.001, 0.999), axis=1)[..., None]
-    place = (rays - low.astype(np.float32)) * (2 / np.maximum(high - low, 1e-9)).astype(np.float32)
-    place -= 1
-    return np.clip(place, -1, 1, out=place)
+    cloud = Cloud.of(points)
+    return all_clusters(cloud.points, cloud.distance, least)

@@ -1,0 +1,140 @@
+"""Tables that end within the frame, with their floor seen beside them: level planes of a thing that other things stand
+on. An object's own faces are none: what rises from them reaches beyond them, or from one edge to the other."""
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from omad.common.compiled import jit
+
+from .cloud import Cloud, some_of
+from .clusters import all_clusters
+from .planes import MIN_SHARE, Before, find_plane
+
+MAX_BEHIND = 0.35
+"""Of a table's points, with what stands on it: edges and legs, which are seen below its plane."""
+MIN_OF_THING = 0.2
+"""A table holds this share of them at least."""
+UP = 0.25
+"""Cosine between the image's up and a table's normal, at least; fronts of cabinets look to the camera or down."""
+PARALLEL = 0.97
+"""Cosine between the normals of a table and its floor, at least."""
+INSIDE, BESIDE = 0.7, 0.05
+"""Of what rises from a table, this share stands within its outline, or beside it by this share of its size: a thing may
+hide the edge that it stands at, and a lid lean out over it."""
+WIDE = 0.8
+"""Nothing on a table is wider than this share of it: a lid is as wide as its laptop."""
+LOWEST = 0.2
+"""Metres over its floor, where that is found."""
+MIN_FLOOR = 0.02
+"""Share of all points on a floor that is looked for as there is a table."""
+GROWN = 0.02
+"""What is taken away with a table may lie so far beyond its outline, as a share of its size."""
+DIRECTIONS = np.stack([function(np.arange(16) * (np.pi / 8)) for function in (np.cos, np.sin)], 1).astype(np.float32)
+"""(16, 2) in a plane; how far something reaches in each is its outline."""
+LEAST = 20
+"""Points of the smallest thing on a table, of those thinned."""
+
+
+def take_tables_away(cloud: Cloud, before: Before) -> Before:
+    """What is left of a cloud also without tables, their legs, and what is seen below them; and without the floor where
+    so little is seen of it that only the table tells of it."""
+    few = some_of(np.arange(len(cloud.distance)))
+    left, least = few[before.left[few]], int(MIN_SHARE * len(few))
+    if len(left) < least:
+        return before
+    for thing in all_clusters(cloud.points.take(left, 1), cloud.distance[left], least):
+        table = _table_of(cloud.part(left[thing]), before)
+        if table is None:
+            continue
+        plane, outline = table
+        height, half = cloud.heights(plane)
+        low = np.flatnonzero(before.left & (height <= half))
+        under = low[_within(outline, _axes(plane), cloud.points, low)]
+        before = replace(_without(before, under, plane), lowest=max(before.lowest, half * cloud.middle))
+        if (_over_parallel(plane, before.planes[:-1]) > 0).any():
+            continue
+        level, deep = partial(_parallel, plane), before.left & (height * cloud.scale < -LOWEST)
+        floor = find_plane(cloud, deep, np.random.default_rng(0), level, share_at_least=MIN_FLOOR)
+        if floor is not None:
+            height, half = cloud.heights(floor)
+            before = _without(before, np.flatnonzero(height <= half), floor)
+    return before
+
+
+def _without(before: Before, taken: np.ndarray, plane: np.ndarray) -> Before:
+    """What is left without the points ``taken`` (M,) with one more ``plane`` (4,)."""
+    left = before.left.copy()
+    left[taken] = False
+    return replace(before, left=left, planes=np.concatenate([before.planes, plane[None]]))
+
+
+def _table_of(thing: Cloud, before: Before) -> tuple[np.ndarray, np.ndarray] | None:
+    """The table (4,) that most points of a thing lie on or stand on, and its outline (16,); None where it is no table
+    with things."""
+    everything = np.ones(len(thing.distance), dtype=bool)
+    plane = find_plane(thing, everything, np.random.default_rng(0), lambda normals: normals[:, 1] < -UP, MAX_BEHIND)
+    if plane is None or (_over_parallel(plane, before.planes) < LOWEST).any():
+        return None
+    height, half = thing.heights(plane)
+    on, above = np.flatnonzero(np.abs(height) < half), np.flatnonzero(height > half)
+    if len(on) < MIN_OF_THING * len(height):
+        return None
+    axes = _axes(plane)
+    outline = _outline(axes, thing.points, on)
+    width = _width(outline)
+    things = all_clusters(thing.points.take(above, 1), thing.distance[above], LEAST)
+    if not things or np.mean(_within(outline + BESIDE * width.max(), axes, thing.points, above)) < INSIDE:
+        return None
+    if any((_width(_outline(axes, thing.points, above[one])) > WIDE * width).any() for one in things):
+        return None
+    return plane, outline + GROWN * width.max()
+
+
+def _width(outline: np.ndarray) -> np.ndarray:
+    """(8,) of an outline (16,), from each direction to the opposite one."""
+    return outline[:8] + outline[8:]
+
+
+def _parallel(plane: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """(H,) bool, which unit normals (H, 3) are those of a floor under a table (4,)."""
+    return normals @ plane[:3] > PARALLEL
+
+
+def _over_parallel(plane: np.ndarray, planes: np.ndarray) -> np.ndarray:
+    """Metres that a table (4,) is over each of ``planes`` (P, 4) that may be its floor."""
+    return plane[3] - planes[_parallel(plane, planes[:, :3]), 3]
+
+
+def _axes(plane: np.ndarray) -> np.ndarray:
+    """(2, 3) float32 directions that span a plane (4,)."""
+    return np.linalg.svd(plane[None, :3])[2][1:].astype(np.float32)
+
+
+@jit
+def _outline(axes, points, index):
+    """(16,) how far points (3, N), by their ``index`` (M,), reach in DIRECTIONS in the plane of ``axes`` (2, 3)."""
+    outline = np.full(len(DIRECTIONS), -np.inf, dtype=np.float32)
+    for i in index:
+        across = axes[0, 0] * points[0, i] + axes[0, 1] * points[1, i] + axes[0, 2] * points[2, i]
+        along = axes[1, 0] * points[0, i] + axes[1, 1] * points[1, i] + axes[1, 2] * points[2, i]
+        for k in range(len(outline)):
+            outline[k] = max(outline[k], DIRECTIONS[k, 0] * across + DIRECTIONS[k, 1] * along)
+    return outline
+
+
+@jit
+def _within(outline, axes, points, index):
+    """(M,) bool, which of points (3, N), by their ``index`` (M,), lie over, on or under what has an outline (16,) in
+    the plane of ``axes`` (2, 3)."""
+    inside = np.ones(len(index), dtype=np.bool_)
+    for i in range(len(index)):
+        x, y, z = points[0, index[i]], points[1, index[i]], points[2, index[i]]
+        across = axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z
+        along = axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z
+        for k in range(len(outline)):
+            if DIRECTIONS[k, 0] * across + DIRECTIONS[k, 1] * along > outline[k]:
+                inside[i] = False
+                break
+    return inside
