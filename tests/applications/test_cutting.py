@@ -76,6 +76,13 @@ def test_without_a_box_one_of_the_category_is_taken_and_others_are_told_of() -> 
     assert sum(told_right) >= 3  # one of the laptops is all but shut: rather a flat box
 
 
+def test_of_several_categories_the_others_are_named() -> None:
+    both = [omad.Estimator.from_pretrained(name) for name in ("laptop", "eyeglasses")]
+    told = " ".join(ObjectFinder(Detector(both))(frame(0)).warnings)
+    assert "more than one object of the categories is seen: the likeliest, " in told
+    assert any(f"({name}, " in told for name in ("laptop", "eyeglasses"))
+
+
 def test_where_there_is_none_it_is_said_with_a_cure() -> None:
     for name in ("dishwasher", "scissors"):
         with pytest.raises(NothingSeen, match=f"no {name}.*(mask|box).*omad detect"):

@@ -10,7 +10,7 @@ from omad.estimation.checks import USUAL_SIZE, wrong_scale
 from omad.sensing.cutting.segmentation import things_before_planes
 from omad.sensing.observation import Observation
 
-from .detector import LEAST, SURE, TOUCHED, Detection, Detector, measured_margin
+from .detector import LEAST, SURE, TOUCHED, Detection, Detector, called, measured_margin
 from .judgement import ODD_SIZE, size_ratio
 
 MEASURED = 0.4
@@ -41,7 +41,8 @@ class ObjectFinder:
             return alone
         look = self.detector.look(frame, box)
         things = look.detections
-        names = " or ".join(estimator.category.name for estimator in self.detector.estimators)
+        several = len(self.detector.estimators) > 1
+        names = "object of the categories" if several else self.detector.estimators[0].category.name
         where = "before table, floor and walls" if box is None else "in the box before table, floor and walls"
         cure = "give a mask, or a box around the object; omad detect shows what was found"
         candidates = sorted((thing for thing in things if thing.evidence), key=_likelihood, reverse=True)
@@ -65,10 +66,11 @@ class ObjectFinder:
             raise NothingSeen(f"no {names}: {what}; {cure}")
         doubts = [*look.doubts]
         if likelihood < SURE:
-            doubts.append(f"the thing taken for a {names} is one with {likelihood:.0%} only: look at it; {cure}")
+            doubts.append(f"the thing taken for the {names} is one with {likelihood:.0%} only: look at it; {cure}")
         if others := [one for one in candidates[1:] if _likelihood(one) >= SURE]:
-            places = ", ".join(f"{','.join(map(str, one.box or ()))} ({_likelihood(one):.0%})" for one in others)
-            told = f"more than one {names} is seen: the likeliest was taken, others are in the boxes {places}"
+            places = ", ".join(_told(one, several) for one in others)
+            taken = f"the likeliest, {called(best.likely)}," if several else "the likeliest"
+            told = f"more than one {names} is seen: {taken} was taken, others are in the boxes {places}"
             doubts.append(f"{told}; omad detect gives them all, a box the one that is meant")
         return replace(best.observation.warned(*doubts), likelihood=likelihood)
 
@@ -86,6 +88,12 @@ class ObjectFinder:
         if not things or len(things[0]) >= MOST * len(seen.points):
             return 1.0
         return _likelihood(self.detector.whole(seen))
+
+
+def _told(thing: Detection, several: bool) -> str:
+    """Where a thing is, of ``several`` categories what it is, and how likely."""
+    what = f"{called(thing.likely)}, " if several else ""
+    return f"{','.join(map(str, thing.box or ()))} ({what}{_likelihood(thing):.0%})"
 
 
 def _likelihood(thing: Detection) -> float:
