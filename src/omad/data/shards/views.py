@@ -146,9 +146,9 @@ class ViewShards:
             if any(image is not None and image.shape != depth.shape for image in (labels, mask)):
                 raise ValueError("depth, labels and mask are of different sizes")
             camera = Camera(depth.shape[1], depth.shape[0], *found.pop("intrinsics").tolist())
-            pose = ViewRecord(found.pop("states"), found.pop("T_camera_base"), tuple(row["seed"]), camera)
+            pose, seed = ViewRecord(found.pop("states"), found.pop("T_camera_base"), camera=camera), tuple(row["seed"])
             truth = ObjectTruth(name=str(row["object"]), **found)
-        return View(truth, depth, labels, camera, pose.states, pose.T_camera_base, pose.seed, mask)
+        return View(truth, depth, labels, camera, pose.states, pose.T_camera_base, seed, mask)
 
 
 def is_view_shards(source: str) -> bool:
