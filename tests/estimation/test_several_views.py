@@ -170,6 +170,22 @@ def test_gravity_is_the_first_cameras(estimator, views):
         assert np.allclose((T_world @ estimate.T_camera_base)[:3, 1], [0, 1, 0], atol=1e-5)
 
 
+def test_a_rolled_first_camera_rolls_no_other(estimator):
+    """Gravity levels each camera as that one is rolled."""
+    views = moment(estimator, 1, 3)
+    observations, T = observed(views)
+    quarter = rigid(Rotation.from_rotvec([0, 0, np.pi / 2]).as_matrix(), np.zeros(3))
+    clouds = [observation.points for observation in observations]
+    clouds[0] = carry(quarter.T, clouds[0])
+    T[0] = T[0] @ quarter
+    down = -np.linalg.inv(T[0])[:3, 1]
+    seen = [omad.Observation.from_points(points) for points in clouds]
+    found = estimator(seen, omad.Known(gravity=down), T_world_camera=T)[0]
+    assert abs(found.joint_states[0] - views[0].states[0]) < 0.05
+    assert found.probability is not None
+    assert found.probability > 0.9
+
+
 def test_separate_targets_are_a_weighted_mean_without_robustness(estimator):
     """Least squares of two sets of targets are those of their mean by weight, with the weights' sum."""
     prior, generator = estimator.net.prior, torch.Generator().manual_seed(0)

@@ -220,7 +220,8 @@ class Estimator:
         size = self.net.backbone.config.points
         shown = Shown.of(observations, size, sum(looks), config.seed, self.category, self.device)
         start = None if near is None else near.start(self.category, shown.clouds)
-        frame = known.levelled(first_frame(shown.clouds.flatten(1, 2))) if start is None else start.T_camera_base
+        level = known.levelling(shown.clouds, None if rig is None else rig.T_first_camera)
+        frame = first_frame(shown.clouds.flatten(1, 2)) @ level if start is None else start.T_camera_base
         labels, crowd = self.net.tells_outside, None
         seen = [self._look(shown.clouds[:, : looks[0]], frame, labels or len(looks) == 1)]
         if labels and (crowded := shown.crowded(as_numpy(seen[0].part_logits))):
@@ -228,7 +229,7 @@ class Estimator:
             said = self._look(shown.clouds[rows], frame[rows], labels=True).part_logits
             cleaned = shown.without_outside(crowded, as_numpy(said), config.seed)
             clouds = cleaned.clouds[rows]
-            again = known.levelled(first_frame(clouds.flatten(1, 2))) if start is None else frame[rows]
+            again = first_frame(clouds.flatten(1, 2)) @ level[rows] if start is None else frame[rows]
             look = self._look(clouds[:, : looks[0]], again, labels=True)
             # what is said of single points may be wrong: then the object is seen less surely without them
             surer = torch.nonzero(look.expected_error < seen[0].of(rows).expected_error)[:, 0]

@@ -45,16 +45,20 @@ class Known:
         """Of what is seen in a mirror in the camera's plane x = 0."""
         return self if self.gravity is None else replace(self, gravity=as_doubles(self.gravity) * MIRROR_X)
 
-    def levelled(self, frames: Tensor) -> Tensor:
-        """``frames`` (B, 4, 4) with the camera's axes, to look in, turned about the last of these until gravity points
-        down, where the camera is ``ROLLED``: networks know objects as cameras see them that are about level."""
+    def levelling(self, like: Tensor, T_first_camera: Tensor | None = None) -> Tensor:
+        """(B, 4, 4) what turns frames with the cameras' axes, to look in at B clouds, about the last of these until
+        gravity points down, where a camera is ``ROLLED``: networks know objects as cameras see them that are about
+        level. Of cameras at ``T_first_camera`` (B, 4, 4) gravity is known in the first one's frame; without, in each
+        one's own. Dtype, device and B are those of ``like``."""
         if self.gravity is None:
-            return frames
-        x, y, _ = as_doubles(self.gravity) / np.linalg.norm(as_doubles(self.gravity))
-        roll = float(np.arctan2(-x, y))
-        if np.hypot(x, y) < SEEN_DOWN or abs(roll) < ROLLED:
-            return frames
-        return frames @ make_transform(so3_exp(torch.tensor([0.0, 0.0, roll])), torch.zeros(3)).to(frames)
+            return torch.eye(4).to(like).expand(len(like), 4, 4)
+        down = as_doubles(self.gravity) / np.linalg.norm(as_doubles(self.gravity))
+        seen = down[None] if T_first_camera is None else down @ as_doubles(T_first_camera)[:, :3, :3]
+        x, y, _ = seen.T
+        roll = np.arctan2(-x, y)
+        roll[(np.hypot(x, y) < SEEN_DOWN) | (np.abs(roll) < ROLLED)] = 0.0
+        turns = so3_exp(torch.as_tensor(roll[:, None] * (0.0, 0.0, 1.0)))
+        return make_transform(turns, torch.zeros_like(turns[:, 0])).to(like).expand(len(like), 4, 4)
 
     def apply_to(self, start: State, category: Category) -> State:
         """``start`` (category units) with the known values in place of its own."""
