@@ -1,5 +1,6 @@
 """Bodies for simulators: convex, hollow, and apart in every state; held to SciPy's linear programming."""
 
+import tracemalloc
 from dataclasses import replace
 from xml.etree import ElementTree
 
@@ -11,6 +12,7 @@ from scipy.spatial import ConvexHull
 
 from omad.data.procedural import generate
 from omad.geometry.convex.bodies import ConvexBody, convex_bodies, overlap
+from omad.geometry.convex.pieces import convex_pieces
 from omad.geometry.mesh import Mesh, merge_meshes
 from omad.objects.category_file import get_category
 from omad.objects.urdf import write_urdf
@@ -46,6 +48,21 @@ def test_a_cut_keeps_one_side():
     assert left.vertices[:, 0].min() == pytest.approx(0.5)
     assert box.cut(np.array([1.0, 0, 0]), -1.0) is box
     assert box.cut(np.array([1.0, 0, 0]), 2.5) is None
+
+
+def test_a_finely_meshed_bowl_needs_little_memory():
+    """Heights of all its vertices over all its faces would be 400 MB."""
+    turn = np.linspace(0, np.pi / 2, 36)
+    arc = np.stack([np.sin(turn), -np.cos(turn)], 1)
+    bowl = solid(trimesh.creation.revolve(np.concatenate([arc, 0.9 * arc[::-1]]), sections=72))
+    tracemalloc.start()
+    try:
+        pieces = convex_pieces(bowl.triangles)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert len(pieces) > 10
+    assert peak < 100e6
 
 
 def test_a_ring_stays_open_and_details_are_left_out():

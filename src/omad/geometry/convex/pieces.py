@@ -32,6 +32,8 @@ FACES, TRIED = 20, 6
 """The most faces that others lie before, for a solid to be cut along them, and how many of the largest are tried."""
 PIECES = 64
 """Of one solid at most."""
+AT_ONCE = 4_000_000
+"""Heights of vertices over faces that are looked at together."""
 
 
 def convex_pieces(triangles: np.ndarray) -> list[np.ndarray]:
@@ -88,7 +90,8 @@ class _Piece:
         areas = np.linalg.norm(normals, axis=1)
         normals /= np.maximum(areas, 1e-300)[:, None]
         at = (normals * triangles[:, 0]).sum(1)
-        before = np.flatnonzero(((vertices @ normals.T).max(0) - at > DEPTH * size) & (areas > 0))
+        before = _hidden(vertices, normals, at + DEPTH * size)
+        before = before[areas[before] > 0]
         alike = np.c_[normals, at / (DEPTH * size)][before].round(1)
         same = np.unique(alike, axis=0, return_inverse=True)[1].reshape(-1)
         if same.max(initial=-1) >= FACES:
@@ -99,3 +102,12 @@ class _Piece:
         for face in np.bincount(same, areas[before]).argsort(kind="stable")[::-1][:TRIED]:
             largest = before[same == face][areas[before[same == face]].argmax()]
             yield normals[largest], float(at[largest]) + BESIDE * size
+
+
+def _hidden(vertices: np.ndarray, normals: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Of F planes with ``normals`` (F, 3), which any of ``vertices`` (V, 3) lie beyond ``at`` (F,) of: their indices. A
+    block of planes at a time, as V times F numbers may be more than memory holds."""
+    step = max(AT_ONCE // len(vertices), 1)
+    starts = range(0, len(at), step)
+    hidden = [(vertices @ normals[i : i + step].T).max(0) > at[i : i + step] for i in starts]
+    return np.flatnonzero(np.concatenate(hidden))
