@@ -169,6 +169,13 @@ def test_an_annotation_may_hold_an_array(form: object) -> None:
     assert np.array_equal(as_mask({"segmentation": form, "area": 12, "bbox": [3, 2, 4, 3]}), MASK)
 
 
+def test_an_id_picks_one_of_the_labels_that_an_annotation_holds() -> None:
+    labels = np.where(MASK, 7, 3)
+    assert np.array_equal(as_mask({"segmentation": labels}, 7), MASK)
+    file = {"annotations": [{"id": 2, "segmentation": MASK}, {"id": 4, "segmentation": ~MASK}]}
+    assert np.array_equal(as_mask(file, 2), MASK)  # there it is an annotation's
+
+
 def test_an_annotation_of_a_whole_file(tmp_path: Path) -> None:
     ring = {"id": 5, "image_id": 1, "segmentation": {"size": [40, 60], "counts": RING_COUNTS}}
     triangle = {"id": 8, "image_id": 2, "segmentation": [[1, 1, 9, 1, 1, 9]]}

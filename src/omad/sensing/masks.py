@@ -46,7 +46,7 @@ def as_mask(values: Any, mask_id: int | None = None) -> np.ndarray:
 
     Raises InputError for logits, for several masks or labels in one, and for what is none of these."""
     if isinstance(values, Mapping):
-        return _decoded(_annotation(values, mask_id))
+        return _decoded(_annotation(values, mask_id), None if "annotations" in values else mask_id)
     try:
         stored = as_numpy(values)
     except (TypeError, ValueError, RuntimeError) as error:  # ragged lists
@@ -181,11 +181,11 @@ def _annotation(coco: Mapping[str, Any], mask_id: int | None) -> Mapping[str, An
     return {"size": sizes[0] if sizes else (), **chosen[0]}
 
 
-def _decoded(coco: Mapping[str, Any]) -> np.ndarray:
-    """(H, W) bool of a COCO segmentation or annotation."""
+def _decoded(coco: Mapping[str, Any], mask_id: int | None) -> np.ndarray:
+    """(H, W) bool of a COCO segmentation or annotation; ``mask_id``: of an array of labels in one."""
     found = coco.get("segmentation", coco)
     if hasattr(found, "shape") and not coco.get("size"):  # of a network that speaks of its masks as COCO does
-        return as_mask(found)
+        return as_mask(found, mask_id)
     if not isinstance(found, Mapping):
         found = {"polygons": found, "size": coco.get("size", ())}
     size = np.asarray(found.get("size", ()), dtype=object).ravel().tolist()
