@@ -254,13 +254,23 @@ def written(path: Path, outcomes: list[stream.Outcome], cut: int) -> list[dict]:
 def test_results_go_on_where_they_stopped(tmp_path, suffix):
     if suffix == ".parquet":
         pytest.importorskip("pyarrow")
-    outcomes = [stream.Outcome(str(i), alone(i)) for i in range(3)]
+    outcomes = [stream.Outcome(str(i), alone(i)) for i in range(2)]
+    outcomes.append(stream.Outcome("2", replace(alone(2), of_other_hand=True, hand_probability=0.75)))
     outcomes.insert(1, stream.Outcome("bad", None, "it was dark"))
     rows = written(tmp_path / "made" / f"results{suffix}", outcomes, 2)
     assert [row["name"] for row in rows] == ["0", "bad", "1", "2"]
     assert [row["refused"] for row in rows] == [None, "it was dark", None, None]
-    promised = alone(2).to_dict()
-    for key in ("category", "converged", "residual", "beta", "T_camera_base", "warnings"):
+    promised = alone(2).to_dict() | {"mirrored": True, "hand_probability": 0.75}
+    for key in (
+        "category",
+        "converged",
+        "residual",
+        "beta",
+        "T_camera_base",
+        "warnings",
+        "mirrored",
+        "hand_probability",
+    ):
         assert rows[3][key] == promised[key], key
     [joint] = rows[3]["joints"]
     assert {key: joint[key] for key in promised["joints"][0]} == promised["joints"][0]

@@ -42,6 +42,8 @@ def _numbers(estimate: Estimate) -> dict[str, Any]:
             "converged": estimate.converged,
             "probability": estimate.probability,
             "residual": estimate.residual,
+            "mirrored": estimate.of_other_hand,
+            "hand_probability": estimate.hand_probability,
             "beta": estimate.beta,
             "T_camera_base": estimate.T_camera_base,
             "T_camera_part": estimate.T_camera_part,
@@ -152,7 +154,8 @@ def row_schema() -> Any:
     joint |= {"limits": numbers, "axis": numbers, "pivot": numbers, "pitch": number}
     joint |= {f"interval_{level}": numbers for level in INTERVALS}
     columns = {"name": text, "refused": text, "category": text, "converged": truth, "probability": number}
-    columns |= {"residual": number, "beta": numbers, "T_camera_base": pyarrow.list_(numbers)}
+    columns |= {"residual": number, "mirrored": truth, "hand_probability": number}
+    columns |= {"beta": numbers, "T_camera_base": pyarrow.list_(numbers)}
     columns |= {"T_camera_part": pyarrow.list_(pyarrow.list_(numbers))}
     columns |= {"joints": pyarrow.list_(pyarrow.struct(joint)), "warnings": pyarrow.list_(text)}
     return pyarrow.schema(columns)
