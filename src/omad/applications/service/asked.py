@@ -62,6 +62,8 @@ class Asked:
         for name, kind in (("mask_id", int), ("depth_scale", float)):
             if name in texts:
                 read[name] = _number(name, texts[name], kind)
+        if "mask_id" in read and not told.get("mask"):
+            raise InputError(f"mask_id {read['mask_id']}: tells one of a mask's objects; give mask, or leave it out")
         return cls(told["depth"], mask=told.get("mask") or None, **read)
 
     def observation(self, find: Find) -> Observation:
