@@ -47,6 +47,32 @@ def test_points_are_chosen_as_the_estimator_chooses_them():
 
 
 @needs
+def test_zeros_are_no_points_and_millimetres_are_refused(monkeypatch):
+    program = object.__new__(program_file.Program)
+    program.numbers = {"least_points": 50, "either_hand": False}
+    monkeypatch.setattr(program_file.Program, "_answer", lambda self, points: points)
+    cloud = np.ones((60, 3), np.float32)
+    np.testing.assert_array_equal(program(np.r_[np.zeros((30, 3)), cloud]), cloud)
+    for points, said in ((cloud * 1000, "looks like millimetres"), (cloud[:49], "too few")):
+        with pytest.raises(ValueError, match=said):
+            program(points)
+
+
+@needs
+def test_images_that_do_not_fit_are_named():
+    depth, K = np.ones((4, 5)), [600.0, 600.0, 2.0, 1.5]
+    wrong = {
+        "--intrinsics: give four": (depth, K[:3], None),
+        "--intrinsics: give": (depth, [0.0, *K[1:]], None),
+        "depth: shape": (depth[None], K, None),
+        "mask: shape": (depth, K, depth[:2]),
+    }
+    for said, given in wrong.items():
+        with pytest.raises(ValueError, match=said):
+            program_file.back_projected(*given)
+
+
+@needs
 def test_what_was_said_of_a_point_first_counts():
     """Of few points each is shown many times, and the network may say something else of it each time."""
     rng = np.random.default_rng(0)

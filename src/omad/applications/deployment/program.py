@@ -27,6 +27,8 @@ from omad.applications.deployment.choice import choose_points
 from omad.estimation.looks.relief import as_shut, relief
 from omad.model.fronts.image import front_image
 
+FAR = 100.0
+"""A larger median distance is one in millimetres."""
 MIRROR = np.array([-1.0, 1.0, 1.0])
 HALF_TURNS = [np.diag([*signs, 1.0]) for signs in ((1, -1, -1), (-1, 1, -1), (-1, -1, 1))]
 
@@ -123,12 +125,16 @@ class Program:
         self._limits = np.array(self.numbers["limits"]).reshape(-1, 2)
 
     def __call__(self, points: np.ndarray) -> Answer:
-        """Of points (N, 3). Raises ValueError for too few of them, and for what is no place."""
+        """Of points (N, 3); zeros are no measurement. Raises ValueError for too few of them, millimetres, and for what
+        is no place."""
         points = np.asarray(points, np.float32)
         if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
             raise ValueError("points: give finite numbers of shape (N, 3), metres")
+        points = points[points.any(1)]
         if len(points) < self.numbers["least_points"]:
             raise ValueError(f"points: {len(points)} are too few, at least {self.numbers['least_points']} are needed")
+        if (median := float(np.median(np.abs(points).max(1)))) > FAR:
+            raise ValueError(f"points: median distance {median:.0f} looks like millimetres; multiply by 0.001")
         plain = self._answer(points)
         if not self.numbers["either_hand"]:
             return plain
@@ -349,7 +355,13 @@ def rotation(v: np.ndarray) -> np.ndarray:
 
 
 def back_projected(depth: np.ndarray, intrinsics: list[float], mask: np.ndarray | None) -> np.ndarray:
-    """(N, 3) of a depth image (H, W) in metres; 0 and what is not finite is no measurement."""
+    """(N, 3) of a depth image (H, W) in metres; 0 and what is not finite is no measurement. Raises ValueError."""
+    if len(intrinsics) != 4 or not np.isfinite(intrinsics).all() or min(intrinsics[:2]) <= 0:
+        raise ValueError("--intrinsics: give four numbers fx,fy,cx,cy in pixels, the first two positive")
+    if depth.ndim != 2:
+        raise ValueError(f"depth: shape {depth.shape} is no image's; give (H, W)")
+    if mask is not None and mask.shape != depth.shape:
+        raise ValueError(f"mask: shape {mask.shape} differs from the depth image's {depth.shape}")
     fx, fy, cx, cy = intrinsics
     seen = np.isfinite(depth) & (depth > 0)
     v, u = np.nonzero(seen if mask is None else seen & (mask > 0))
