@@ -154,6 +154,17 @@ def test_stacks_of_label_images_are_read_by_their_number(stored):
     assert_same(outcomes_of(open_sources([stored / "stack.npy"], reading)), masked=True)
 
 
+def test_the_number_of_an_object_needs_a_mask(stored):
+    """Of stacks and Parquet files, too."""
+    reading = replace(READING, mask_id=3)
+    with pytest.raises(InputError, match="--mask-id 3: tells one of a mask's objects"):
+        open_sources([stored / "stack.npy"], reading)
+    pyarrow, parquet = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
+    parquet.write_table(pyarrow.table({"depth": [b""]}), stored / "bare.parquet")
+    with pytest.raises(InputError, match="--mask-id 3: tells one of a mask's objects"):
+        open_sources([stored / "bare.parquet"], reading)
+
+
 def columns(form: str) -> dict[str, list]:
     """Of a Parquet file, with the views in one of its forms."""
     size = {"height": [480] * 6, "width": [640] * 6}

@@ -116,9 +116,13 @@ class InputReader:
         told = self.whole or self.mask is not None or self.box is not None or self.segment is not None
         if not told and beside.mask is not None:
             return read_mask(beside.mask, self.mask_id)
+        self.check_mask_id()
+        return self.mask
+
+    def check_mask_id(self) -> None:
+        """Raises InputError for the number of an object where no mask tells the objects."""
         if self.mask is None and self.mask_id is not None:
             raise InputError(f"--mask-id {self.mask_id}: tells one of a mask's objects; give --mask, or leave it out")
-        return self.mask
 
     def metres_per_number(self, file: Path) -> float | None:
         """Of a depth image or cloud, where that can be told without its numbers."""

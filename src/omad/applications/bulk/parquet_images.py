@@ -64,6 +64,8 @@ class ParquetImages:
             raise InputError(f"{path}: no column depth, only {', '.join(found)}; rename the one with depth images")
         if "intrinsics" not in found and reader.camera is None:
             raise InputError(f"{path}: {NEED_INTRINSICS}, or a column intrinsics")
+        if "mask" not in found:
+            reader.check_mask_id()
         if "mask" not in found and isinstance(reader.mask, Path):
             raise InputError(f"--mask {reader.mask}: is a folder; give {path} a column mask")
         return cls(path, file, reader, [name for name in COLUMNS if name in found])

@@ -146,6 +146,8 @@ def _stack(path: Path, depths: np.ndarray, masks: np.ndarray | None, reader: Inp
         raise InputError(f"{path}: its shape is {depths.shape}, that of its masks {masks.shape}; give one for each")
     if isinstance(reader.mask, Path):
         raise InputError(f"--mask {reader.mask}: is a folder, but {path} a stack; give a stack of masks (N, H, W)")
+    if masks is None:
+        reader.check_mask_id()
 
     def load(index: int) -> Observation:
         mask = reader.mask if masks is None else np.asarray(masks[index])
