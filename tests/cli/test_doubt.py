@@ -76,7 +76,7 @@ def test_a_thing_may_be_of_none_of_the_categories(capsys):
 
 
 def test_none_of_the_categories_has_every_key_and_leaves_no_earlier_answer(capsys):
-    first = answer(capsys, "estimate", save_png("a.png"), "--category", "auto", *K, "--formats", "ros", "glb")
+    first = answer(capsys, "estimate", save_png("a.png"), "--category", "auto", *K, "--formats", "ros", "glb", "ply")
     assert first["category"] == "laptop"
     command = ["estimate", save_png("a.png", chair_view().depth), "--category", "auto", *K]
     found = answer(capsys, *command)

@@ -54,11 +54,12 @@ OF_AN_ANSWER = (
     "robot.xml",
     "robot.usda",
     "object.ply",
+    "part-*.ply",
     "object.glb",
     "ros.json",
     "object.rrd",
 )
-"""Files that a folder of results has only where an object was found, by an earlier run perhaps."""
+"""Files, by patterns, that a folder of results has only where an object was found, by an earlier run perhaps."""
 DOUBTFUL = 1
 """Exit code of --strict."""
 
@@ -169,8 +170,8 @@ class EstimateCommand(CategoryCommand):
         found.estimate.seconds["read"] = view.seconds
         if found.none:
             record = found.none_of_them()
-            for name in OF_AN_ANSWER:
-                (folder / name).unlink(missing_ok=True)
+            for file in [file for pattern in OF_AN_ANSWER for file in folder.glob(pattern)]:
+                file.unlink()
             print(f"{view.file}: none of the categories ({nearest_text(record)}) -> {folder}", file=sys.stderr)
         else:
             record = found.to_dict()
