@@ -257,3 +257,9 @@ def test_masks_of_all_or_hardly_anything_are_named() -> None:
     assert Observation.from_depth(depth, camera, speck).warnings == ()
     labels = np.where(speck, 2, 1)
     assert np.array_equal(Observation.from_depth(depth, camera, labels, mask_id=2).mask, speck)
+
+
+def test_colours_that_are_no_numbers_are_nothing() -> None:
+    image = np.zeros((4, 5, 3))
+    image[1:3, 2, 0], image[0] = 0.8, np.nan
+    assert np.array_equal(as_mask(image), image[..., 0] == 0.8)

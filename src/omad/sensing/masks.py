@@ -84,7 +84,8 @@ def of_palette(numbers: np.ndarray, colours: np.ndarray) -> np.ndarray:
 
 
 def _of_colours(image: np.ndarray) -> np.ndarray:
-    """Alpha where it tells pixels apart, else what is not black; numbers of a grey image."""
+    """Alpha where it tells pixels apart, else what is not black; numbers of a grey image. NaN is nothing."""
+    image = np.nan_to_num(image)
     colours, alpha = image[..., :3], image[..., 3:]
     if alpha.size and alpha.min() < alpha.max():
         opaque = OPAQUE if image.dtype.kind in "iu" and alpha.max() > 1 else INSIDE

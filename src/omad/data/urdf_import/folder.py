@@ -3,6 +3,7 @@
 import os
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -138,13 +139,18 @@ def _imported(
     return ImportedModel(model, notes, _up(aligned.R_canonical_source))
 
 
+@lru_cache(maxsize=1)
+def _read_record(record: Path, _changed: int) -> Any:
+    """What an import wrote, once for all of its models; None where it cannot be read."""
+    with suppress(InputError):
+        return read_json(record, "")
+    return None
+
+
 def _mirrored_before(path: Path) -> bool:
     """Whether an earlier import wrote this model as the mirror image of what it had come from."""
     record = next((file for folder in path.absolute().parents[:2] if is_file(file := folder / RECORD)), None)
-    found: Any = None
-    if record is not None:
-        with suppress(InputError):
-            found = read_json(record, "")
+    found = None if record is None else _read_record(record, record.stat().st_mtime_ns)
     for key in ("notes", object_name(path)):
         found = found.get(key) if isinstance(found, dict) else None
     return isinstance(found, list) and MIRRORED in found
