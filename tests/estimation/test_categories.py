@@ -87,6 +87,15 @@ def test_the_shipped_look_proposes_the_true_category():
     assert np.mean(there) >= 0.98
 
 
+def test_the_look_is_that_of_a_level_camera_where_gravity_is_known():
+    category, roll = get_category("laptop"), np.diag([-1.0, -1.0, 1.0])
+    seen = standard_view(generate(category, 1, "test"), category, (7, 1), ON)
+    upside_down = omad.Observation.from_points(seen.observation().points @ roll)
+    ranking = rank(upside_down, estimators(), omad.Known(gravity=-roll @ seen.T_camera_base[:3, 1]))
+    assert ranking.candidates[0].estimate.category.name == "laptop"
+    assert ranking.candidates[0].probability > 0.9
+
+
 def test_only_proposed_categories_are_loaded(monkeypatch):
     loaded = []
     read = Estimator.from_pretrained

@@ -14,6 +14,7 @@ from omad.geometry.transforms import MIRROR_X, make_transform, so3_exp
 from omad.model.fitting.refinement import free_directions
 from omad.model.fitting.state import State
 from omad.objects.category import Category
+from omad.sensing.observation import Observation
 
 LARGEST = 1e4
 """Of what can be known: radians, metres, numbers of beta."""
@@ -59,6 +60,13 @@ class Known:
         roll[(np.hypot(x, y) < SEEN_DOWN) | (np.abs(roll) < ROLLED)] = 0.0
         turns = so3_exp(torch.as_tensor(roll[:, None] * (0.0, 0.0, 1.0)))
         return make_transform(turns, torch.zeros_like(turns[:, 0])).to(like).expand(len(like), 4, 4)
+
+    def as_level(self, observation: Observation) -> Observation:
+        """What a camera that is not rolled would see: the points alone are turned (``levelling``)."""
+        if self.gravity is None:
+            return observation
+        turn = as_doubles(self.levelling(torch.eye(4, dtype=torch.float64)[None]))[0, :3, :3]
+        return Observation.from_points(observation.points @ turn)
 
     def apply_to(self, start: State, category: Category) -> State:
         """``start`` (category units) with the known values in place of its own."""

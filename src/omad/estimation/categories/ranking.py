@@ -23,7 +23,7 @@ from omad.sensing.observation import Observation
 from ..checks import Check
 from ..estimate import Estimate
 from ..evidence import Evidence, explanation, measure_evidence
-from ..known import Known
+from ..known import NOTHING_KNOWN, Known
 from .fronts import told_apart
 from .late import AnyEstimator
 from .proposals import Proposals
@@ -94,7 +94,7 @@ class Ranking:
 def rank(
     observation: Observation,
     estimators: Sequence[AnyEstimator],
-    known: Known | None = None,
+    known: Known = NOTHING_KNOWN,
     always: Sequence[str] = (),
     propose: Proposer | None = None,
 ) -> Ranking:
@@ -102,10 +102,10 @@ def rank(
     ``always``; without those whose answers are no numbers, as of a cloud many times larger than the category.
     ``propose``: the look; default: the shipped one."""
     by_name = {estimator.category.name: estimator for estimator in estimators}
-    [look] = (propose or shipped_proposer())([observation])
+    [look] = (propose or shipped_proposer())([known.as_level(observation)])
     proposals = Proposals.of(look, list(by_name))
     names = dict.fromkeys([*always, *proposals.worth_fitting(list(by_name))])
-    rows = [(by_name[name](observation, known or Known()), by_name[name].net.prior) for name in names]
+    rows = [(by_name[name](observation, known), by_name[name].net.prior) for name in names]
     rows = [(estimate, prior) for estimate, prior in rows if estimate.is_finite]
     if not rows:
         return Ranking((), 1.0)
