@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+from omad.cli.main import run
 from omad.cli.training import networks
 from omad.common.errors import InputError
 from omad.model.backbones import BACKBONES, SLIM, BackboneConfig
@@ -35,3 +36,14 @@ def test_training_goes_on_at_the_size_that_was_begun_unless_another_is_asked_for
     assert [settings.backbone for settings in asked] == [BACKBONES["fine"], SLIM]
     with pytest.raises(InputError, match="is not of the size paper; change --size"):
         networks.TrainNet(**fine, size="paper").run()
+
+
+@pytest.mark.slow
+def test_a_training_that_diverges_fails_in_one_line(capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    few = ["--objects", "2", "--batch", "2", "--threads", "1", "--device", "cpu", "--output", "x"]
+    assert run(["train", "prior", "--category", "laptop", *few, "--steps", "40", "--learning-rate", "1e9"]) == 1
+    lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("omad: ")]
+    assert len(lines) == 1
+    assert "learning rate" in lines[0]
+    assert not Path("x/config.json").exists()

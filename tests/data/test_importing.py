@@ -22,7 +22,7 @@ from omad.data.procedural import generate
 from omad.data.rendering.view_folder import open_views
 from omad.data.urdf_import import importing
 from omad.data.urdf_import.articulation import read_articulation, read_urdf
-from omad.data.urdf_import.folder import import_model, import_with_notes, load_folder
+from omad.data.urdf_import.folder import import_model, load_folder
 from omad.data.urdf_import.importing import import_folder
 from omad.geometry.mesh import Mesh
 from omad.objects.category import Category
@@ -112,46 +112,6 @@ def test_real_models_of_another_category_are_refused(kind, name):
         if category != category_of(kind):
             with pytest.raises(InputError):
                 import_model(MODELS / kind / name, category)
-
-
-REAL = {
-    "microwave": ("microwave", "7119", "7128", "7167"),
-    "oven": ("oven", "101940"),
-    "refrigerator": ("refrigerator", "10849", "12249"),
-    "refrigerator_two_doors": ("refrigerator", "11178", "11299"),
-    "cabinet_one_door": ("cabinet", "45526", "46197", "46236"),
-    "drawer_2": ("cabinet", "45746"),
-    "drawer_5": ("drawer", "45261"),
-    "lidded_box": ("box", "100189"),
-    "trash_can": ("trashcan", "11361"),
-    "stapler": ("stapler", "103100", "103104"),
-}
-"""By shipped categories: a folder, and what in it is of the category."""
-OTHER_HAND = {"10849", "12249", "46197", "46236"}
-"""Doors hinged at the right."""
-
-
-@pytest.mark.slow
-@needs_models
-@pytest.mark.parametrize("name", REAL)
-def test_real_models_are_within_what_is_generated(name):
-    """Sizes of parts and places of hinges, as shares of the object's diagonal."""
-    category, (folder, *names) = EVERY[name], REAL[name]
-    made = np.stack([_proportions(generate(category, index)) for index in range(300)])
-    low, high = made.min(0), made.max(0)
-    for each in names:
-        imported = import_with_notes(MODELS / folder / each, category)
-        found = _proportions(imported.model)
-        assert (found > low - 0.05).all(), (each, found, low)
-        assert (found < high + 0.05).all(), (each, found, high)
-        assert any("mirror image" in note for note in imported.notes) == (each in OTHER_HAND)
-
-
-def _proportions(model: ObjectModel) -> np.ndarray:
-    """Extents of all parts, and pivots without what is along their axes."""
-    boxes = model.part_boxes()
-    along = (model.pivots * model.axes).sum(1, keepdims=True) * model.axes
-    return np.concatenate([(boxes[:, 1] - boxes[:, 0]).ravel(), (model.pivots - along).ravel()]) / model.diagonal
 
 
 @needs_models

@@ -18,6 +18,7 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 import omad
+from helpers.installed import installed
 from helpers.pages import every_block
 from omad.cli.main import run
 from omad.data.procedural import generate
@@ -312,23 +313,15 @@ def test_page_runs(laptop, tmp_path, monkeypatch):
                 for name in ("pybullet", "rerun", "mujoco", "pxr")
                 if re.search(rf"\b(import|from) .*\b{name}\b", code)
             ]
-            missing = [name for name in named if not _installed(name)]
+            missing = [name for name in named if not installed(name)]
             if not missing:
                 exec(code, names)
                 ran += 1
         else:
             words = code.split()
             for name, extra in {"mjcf": "mujoco", "usd": "pxr"}.items():
-                if not _installed(extra):
+                if not installed(extra):
                     words.remove(name)
             assert words[0] == "omad"
             assert run(words[1:]) == 0
     assert ran >= 4
-
-
-def _installed(name: str) -> bool:
-    try:
-        __import__(name)
-    except ImportError:
-        return False
-    return True

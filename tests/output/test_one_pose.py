@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 import omad
 from helpers.categories import EVERY
+from helpers.installed import installed
 from omad.data.procedural import generate
 from omad.data.rendering.standard_views import standard_view
 from omad.geometry.rigid import carry
@@ -43,21 +44,11 @@ def written(tmp_path_factory):
         observation, estimate = seen(hand)
         folder = tmp_path_factory.mktemp(hand)
         extras = {"mjcf": "mujoco", "usd": "pxr"}
-        formats = [
-            name for name in ("urdf", "mjcf", "usd", "ply", "glb", "ros") if _installed(extras.get(name, "json"))
-        ]
+        formats = [name for name in ("urdf", "mjcf", "usd", "ply", "glb", "ros") if installed(extras.get(name, "json"))]
         save_formats(estimate, observation, folder, formats)
         return estimate, folder
 
     return export
-
-
-def _installed(name: str) -> bool:
-    try:
-        __import__(name)
-    except ImportError:
-        return False
-    return True
 
 
 def apart(estimate: omad.Estimate, found: dict[str, np.ndarray]) -> float:

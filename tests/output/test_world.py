@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 import omad
 from helpers.command_line import LAPTOP, answer, laptop_view
+from helpers.installed import installed
 from omad.cli.main import run
 from omad.geometry.rigid import carry, rigid
 from omad.output.formats import FORMATS, save_formats
@@ -24,17 +25,9 @@ def written(tmp_path_factory):
     observation = laptop_view().observation()
     estimate = omad.Estimator.from_pretrained("laptop", "cpu")(observation)
     extras = {"mjcf": "mujoco", "usd": "pxr", "rrd": "rerun"}
-    formats = [name for name in FORMATS if name not in extras or _installed(extras[name])]
+    formats = [name for name in FORMATS if name not in extras or installed(extras[name])]
     save_formats(estimate, observation, folder, formats, T_WORLD_CAMERA)
     return folder, estimate, T_WORLD_CAMERA @ link_frames(estimate)
-
-
-def _installed(name: str) -> bool:
-    try:
-        __import__(name)
-    except ImportError:
-        return False
-    return True
 
 
 def test_urdf(written):
