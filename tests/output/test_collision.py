@@ -2,6 +2,7 @@
 
 import tracemalloc
 from dataclasses import replace
+from functools import cache
 from xml.etree import ElementTree
 
 import numpy as np
@@ -15,6 +16,7 @@ from omad.geometry.convex.bodies import ConvexBody, convex_bodies, overlap
 from omad.geometry.convex.pieces import convex_pieces
 from omad.geometry.mesh import Mesh, merge_meshes
 from omad.objects.category_file import get_category
+from omad.objects.model import ObjectModel
 from omad.objects.urdf import write_urdf
 from omad.output.robots.collision import collision_bodies
 
@@ -28,6 +30,13 @@ def touch(one: np.ndarray, other: np.ndarray) -> bool:
 
 def solid(made: trimesh.Trimesh) -> Mesh:
     return Mesh(np.asarray(made.vertices, np.float64), np.asarray(made.faces, np.int64))
+
+
+@cache
+def some_object(name: str) -> tuple[ObjectModel, list[list[ConvexBody]]]:
+    """One of a category, and its bodies."""
+    model = generate(get_category(name), 1, "test")
+    return model, collision_bodies(model)
 
 
 def test_bodies_that_a_face_separates_do_not_overlap():
@@ -94,8 +103,7 @@ def test_what_is_not_closed_is_its_hull():
 
 @pytest.mark.parametrize("name", ["microwave", "lidded_box", "trash_can", "suitcase", "refrigerator", "stapler"])
 def test_bodies_fill_no_hollow_and_keep_their_parts(name):
-    model = generate(get_category(name), 1, "test")
-    bodies = collision_bodies(model)
+    model, bodies = some_object(name)
     for part, of_part in zip(model.parts, bodies, strict=True):
         volume = trimesh.Trimesh(part.vertices, part.faces, process=False).volume
         assert 0.85 * volume < sum(body.volume for body in of_part) < 1.2 * volume
@@ -114,8 +122,7 @@ def test_room_is_made_for_possible_states_alone():
 
 @pytest.mark.parametrize("name", ["laptop", "dishwasher", "drawer", "scissors"])
 def test_parts_never_touch(name):
-    model = generate(get_category(name), 1, "test")
-    bodies, rng = collision_bodies(model), np.random.default_rng(0)
+    (model, bodies), rng = some_object(name), np.random.default_rng(0)
     for states in [np.clip(0, *model.limits.T), *model.limits.T, *(rng.uniform(*model.limits.T) for _ in range(3))]:
         placed = [
             [body.carried(T) for body in of_part]
@@ -132,16 +139,16 @@ def test_parts_never_touch(name):
 
 
 def test_a_cabinet_is_hollow():
-    model = generate(get_category("drawer"), 1, "test")
-    cabinet, drawers = collision_bodies(model)[0], model.parts[1:]
+    model, (cabinet, *_) = some_object("drawer")
+    drawers = model.parts[1:]
     for drawer in drawers:
         middle = drawer.vertices.mean(0)[None] - [[0.0, 0.0, 0.2 * model.diagonal]]
         assert not any(body.holds(middle, 0.0) for body in cabinet)
 
 
 def test_the_urdf_has_a_collision_a_body(tmp_path):
-    model = generate(get_category("laptop"), 1, "test")
-    bodies = [[body.mesh for body in of_part] for of_part in collision_bodies(model)]
+    model, of_parts = some_object("laptop")
+    bodies = [[body.mesh for body in of_part] for of_part in of_parts]
     root = ElementTree.parse(write_urdf(model, tmp_path / "object.urdf", bodies)).getroot()
     for link, of_part in zip(root.findall("link"), bodies, strict=True):
         files = [element.find("geometry/mesh").get("filename") for element in link.findall("collision")]
