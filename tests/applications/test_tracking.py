@@ -136,6 +136,21 @@ def test_stream_with_bad_frames_and_times(folder, capsys, monkeypatch):
     assert "20x10" in lines[2]["reason"]
 
 
+@pytest.mark.parametrize(("second", "time"), [("0001.png\tsoon", None), ("0001.png\tnan", None), ("0001.png\t0", 0.0),
+                                            (f"{10 * '1234567'}.png", None)])  # fmt: skip
+def test_a_line_with_a_wrong_time_is_refused_and_the_stream_goes_on(second, time, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name in ("0000.png", second.partition("\t")[0], "0002.png"):
+        Image.new("I;16", (64, 48), 900).save(name)
+    monkeypatch.setattr("sys.stdin", io.StringIO(f"0000.png\t0\n{second}\n0002.png\t0.5\n"))
+    assert run(["track", "-", *GIVEN[:-1]]) == 2
+    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert [line["status"] for line in lines[:3]] == ["lost", "refused", "lost"]
+    assert lines[1]["time"] == time
+    assert "time" in lines[1]["reason"]
+    assert [one["reason"] for one in lines[3]["refused"]] == [lines[1]["reason"]]
+
+
 @pytest.fixture(scope="module")
 def stapler() -> tuple[omad.Observation, omad.Estimate]:
     """One of its joints has a long name."""

@@ -2,6 +2,7 @@
 
 import csv
 import io
+import math
 import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -25,9 +26,11 @@ class FrameFile:
 
     path: Path
     time: float
-    """Seconds since the first frame."""
+    """Seconds since the first frame; nan where there is a ``fault``."""
     source: RecordedFrame | None = None
     """Of a recording or a camera; ``path`` is then but its name."""
+    fault: InputError | None = None
+    """Why its time is not known."""
 
 
 @dataclass
@@ -80,16 +83,24 @@ def frames_of(folder: Path, clock: Clock) -> list[FrameFile]:
 
 
 def frames_from(lines: Iterable[str], clock: Clock) -> Iterator[FrameFile]:
-    """Frames named one a line; after a tab a line may hold the time in seconds."""
+    """Frames named one a line; after a tab a line may hold the time in seconds. One without a time that can be told has
+    a ``fault``: the others go on."""
     for line in lines:
-        name, _, time = line.rstrip("\r\n").partition("\t")
+        name, _, told = line.rstrip("\r\n").partition("\t")
         if not name:
             continue
         try:
-            seconds = seconds_of(time) if time else None
-        except ValueError as error:
-            raise InputError(f"{shown(name)}: time {shown(time)!r} is no number of seconds") from error
-        yield FrameFile(Path(name), clock(Path(name)) if seconds is None else seconds)
+            yield FrameFile(Path(name), _told_seconds(name, told) if told else clock(Path(name)))
+        except InputError as error:
+            yield FrameFile(Path(name), math.nan, fault=error)
+
+
+def _told_seconds(name: str, told: str) -> float:
+    """Raises InputError."""
+    try:
+        return seconds_of(told)
+    except ValueError as error:
+        raise InputError(f"{shown(name)}: time {shown(told)!r} is no number of seconds; correct the line") from error
 
 
 def seconds_of(text: str) -> float:

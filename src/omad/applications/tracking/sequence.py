@@ -98,6 +98,8 @@ class TrackedSequence:
 
     def _read(self, frame: FrameFile) -> Observation | None:
         """None where the frame is in order and shows nothing."""
+        if frame.fault is not None:
+            raise frame.fault
         try:
             observation = self.read(frame)
         except NothingSeen:
