@@ -186,6 +186,21 @@ def test_a_rolled_first_camera_rolls_no_other(estimator):
     assert found.probability > 0.9
 
 
+def test_views_of_rolled_cameras_are_each_levelled_where_gravity_is_known(estimator):
+    """Each alone, too, which is what they are held against."""
+    views = moment(estimator, 2, 3)
+    observations, T = observed(views)
+    quarter = rigid(Rotation.from_rotvec([0, 0, np.pi / 2]).as_matrix(), np.zeros(3))
+    rolled = [omad.Observation.from_points(carry(quarter.T, each.points)) for each in observations]
+    level = estimator(observations, omad.Known(gravity=-np.linalg.inv(T[0])[:3, 1]), T_world_camera=T)
+    found = estimator(rolled, omad.Known(gravity=-np.linalg.inv(T[0] @ quarter)[:3, 1]), T_world_camera=T @ quarter)
+    for one, other in zip(found, level, strict=True):
+        assert one.joint_states == pytest.approx(other.joint_states, abs=np.radians(1))
+        alone = [[joint.state for joint in each.joints_alone] for each in (one, other)]
+        assert alone[0] == pytest.approx(alone[1], abs=np.radians(2))
+        assert len(one.warnings) == len(other.warnings)
+
+
 def test_separate_targets_are_a_weighted_mean_without_robustness(estimator):
     """Least squares of two sets of targets are those of their mean by weight, with the weights' sum."""
     prior, generator = estimator.net.prior, torch.Generator().manual_seed(0)

@@ -50,7 +50,7 @@ from .looks.look import Look, put_rows, rows_of
 from .looks.mirror import Mirror
 from .looks.shown import Shown, check_observations
 from .looks.turned import HALF_TURNS, UNSURE, surer
-from .several_views import Rig, one_answer
+from .several_views import Rig, one_answer, relative_poses
 
 Refine = Callable[[Refiner, Targets, State], Refined]
 """Minimises the energy that a refiner states, from an initial state."""
@@ -110,8 +110,7 @@ class Estimator:
         self.net = net.to(self.device).eval()
         self._forward = inference_net(self.net)
         self.config = config or EstimatorConfig()
-        self.refine = refine
-        self.confidence, self.surfaces = confidence, surfaces
+        self.refine, self.confidence, self.surfaces = refine, confidence, surfaces
         self.hand = () if confidence is None else confidence.hand
         self.asks_front = confidence is not None and confidence.asks_front
         mirror = Mirror.of(net.category, net.tells_outside)
@@ -183,8 +182,9 @@ class Estimator:
         if isinstance(views, Observation) or not views:
             raise InputError("T_world_camera: is for several views of one object; give a list of observations with it")
         check_observations(views)
-        alone = self._estimate(views, known if len(views) == 1 else replace(known, gravity=None))
-        rig = Rig.of(poses, alone, self.net.prior.learned_basis)
+        T = relative_poses(poses, len(views))
+        alone = [self._estimate([view], own)[0] for view, own in zip(views, known.seen_from(T), strict=True)]
+        rig = Rig.of(T, alone, self.net.prior.learned_basis)
         return one_answer(self._estimate(views, known, rig=rig), alone) if len(views) > 1 else alone
 
     @cached_property

@@ -46,6 +46,14 @@ class Known:
         """Of what is seen in a mirror in the camera's plane x = 0."""
         return self if self.gravity is None else replace(self, gravity=as_doubles(self.gravity) * MIRROR_X)
 
+    def seen_from(self, T_first_camera: np.ndarray) -> list[Self]:
+        """What is known in the first camera's frame in those of cameras at ``T_first_camera`` (V, 4, 4). Raises
+        InputError where gravity is no direction."""
+        if self.gravity is None:
+            return [self] * len(T_first_camera)
+        down = numbers(self.gravity, 3, what="known gravity")
+        return [replace(self, gravity=down @ T[:3, :3]) for T in T_first_camera]
+
     def levelling(self, like: Tensor, T_first_camera: Tensor | None = None) -> Tensor:
         """(B, 4, 4) what turns frames with the cameras' axes, to look in at B clouds, about the last of these until
         gravity points down, where a camera is ``ROLLED``: networks know objects as cameras see them that are about

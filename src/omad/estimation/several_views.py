@@ -61,18 +61,13 @@ class Rig:
     """(V, V) bool: which views tell the same joint states."""
 
     @classmethod
-    def of(cls, T_world_camera: Any, alone: Sequence[Estimate], like: Tensor) -> Rig:
-        """Of poses (V, 4, 4) in any one frame, in metres, and what each view tells ``alone``; dtype and device are
-        those of ``like``. Raises InputError for another shape and for what is no rigid transform."""
-        category = alone[0].category
-        poses = numbers(T_world_camera, len(alone), 4, 4, what="T_world_camera", unknown=True)
-        for number, T in enumerate(poses, 1):
-            if not (np.isfinite(T).all() and np.allclose(T[3], [0, 0, 0, 1]) and is_rotation(T[:3, :3])):
-                raise InputError(f"T_world_camera: that of view {number} is no rotation and translation; correct it")
-        relative = np.linalg.inv(poses[0]) @ poses
-        relative[:, :3, 3] /= category.metres_per_unit
+    def of(cls, T_first_camera: np.ndarray, alone: Sequence[Estimate], like: Tensor) -> Rig:
+        """Of cameras at ``T_first_camera`` (V, 4, 4), in metres, and what each view tells ``alone``; dtype and device
+        are those of ``like``."""
+        placed = T_first_camera.copy()
+        placed[:, :3, 3] /= alone[0].category.metres_per_unit
         alike = [[_alike(one, other) for other in alone] for one in alone]
-        return cls(torch.as_tensor(relative).to(like), torch.tensor(alike, device=like.device))
+        return cls(torch.as_tensor(placed).to(like), torch.tensor(alike, device=like.device))
 
     def mirrored(self) -> Rig:
         """Of what all of them see in mirrors in their planes x = 0."""
@@ -111,6 +106,16 @@ class Rig:
         points = prior.deform(state.beta, state.joint_states, state.T_camera_base)
         ends = found.converged.expand(views), found.iterations.expand(views)
         return Refined.of(state, points, targets, turn @ found.covariance @ turn.mT, *ends)
+
+
+def relative_poses(T_world_camera: Any, views: int) -> np.ndarray:
+    """T_first_camera (V, 4, 4) of so many cameras at poses (V, 4, 4) in any one frame, in metres. Raises InputError for
+    another shape and for what is no rigid transform."""
+    poses = numbers(T_world_camera, views, 4, 4, what="T_world_camera", unknown=True)
+    for number, T in enumerate(poses, 1):
+        if not (np.isfinite(T).all() and np.allclose(T[3], [0, 0, 0, 1]) and is_rotation(T[:3, :3])):
+            raise InputError(f"T_world_camera: that of view {number} is no rotation and translation; correct it")
+    return np.linalg.inv(poses[0]) @ poses
 
 
 def correlation(angle: Tensor) -> Tensor:
