@@ -12,12 +12,14 @@ from PIL import Image
 from helpers.chair import chair_view
 from helpers.command_line import LAPTOP, K, answer, refused, save_png
 from helpers.confidences import always
+from helpers.installed import installed
 from omad.cli.main import run
 from omad.data.rendering.tabletop import draw_tabletop
 from omad.estimation.confidence.model import FILE
 from omad.model.checkpoint import find_weights, load, save
 from omad.model.omadnet import OmadNet
 from omad.objects.category_file import get_category
+from omad.output.formats import FORMATS, NEED
 
 
 @pytest.fixture(autouse=True)
@@ -88,6 +90,35 @@ def test_none_of_the_categories_has_every_key_and_leaves_no_earlier_answer(capsy
     assert set(found["seconds"]) == set(first["seconds"])
     left = {file.name for file in Path(found["output"]).iterdir() if file.is_file()}
     assert left == {"estimate.json"}
+
+
+def test_an_answer_leaves_no_files_of_an_earlier_one(capsys):
+    """Of other formats, or of an object with other parts; what is not of the answer stays."""
+    command = ["estimate", save_png("a.png"), *LAPTOP, *K]
+    folder = Path(answer(capsys, *command)["output"])
+    alone = {file.relative_to(folder) for file in folder.rglob("*")}
+    formats = [name for name in FORMATS if name not in NEED or installed(NEED[name][0])]
+    answer(capsys, *command, "--formats", *formats)
+    assert len({file.relative_to(folder) for file in folder.rglob("*")} - alone) > len(formats)
+    record = json.loads((folder / "estimate.json").read_text())
+    record["parts"].append({"name": "lid.1"})
+    (folder / "estimate.json").write_text(json.dumps(record))
+    of_another = ["part-lid.1.ply", "meshes/object-2-lid_1.obj", "meshes/robot-2-lid_1-body-0.obj"]
+    not_ours = ["notes.txt", "part-mine.ply", "part-screen.txt", "meshes/object-mine.obj", "meshes/0-screen.obj"]
+    for name in of_another + not_ours:
+        (folder / name).touch()
+    answer(capsys, *command)
+    left = {file.relative_to(folder) for file in folder.rglob("*")}
+    assert left == alone | {Path(name) for name in not_ours}
+
+
+def test_files_beside_a_first_answer_are_not_taken_for_an_earlier_ones(capsys):
+    Path("omad-estimate/a").mkdir(parents=True)
+    mine = [Path("omad-estimate/a") / name for name in ("object.ply", "part-screen.ply", "ros.json")]
+    for file in mine:
+        file.touch()
+    answer(capsys, "estimate", save_png("a.png"), *LAPTOP, *K)
+    assert all(file.is_file() for file in mine)
 
 
 def test_a_category_of_ones_own_is_tried_beside_the_shipped_ones(capsys):

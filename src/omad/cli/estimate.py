@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import glob
 import os
+import re
 import sys
 import time
 from collections.abc import Callable, Iterable, Sequence
@@ -16,7 +18,8 @@ from tyro.conf import OmitArgPrefixes
 
 import omad
 from omad.common.errors import InputError, named
-from omad.common.files import write_json
+from omad.common.files import replacing, write_json
+from omad.common.incoming import read_json
 from omad.common.lazy import lazy_imports
 from omad.sensing.input_options import FrameOptions, InputOptions
 
@@ -45,6 +48,7 @@ CHOICE = (
 AUTO = "auto"
 NEAR = 0.2
 """A category with this probability is named beside the likeliest one."""
+ESTIMATE = "estimate.json"
 OF_AN_ANSWER = (
     "object.urdf",
     "state.json",
@@ -53,13 +57,19 @@ OF_AN_ANSWER = (
     "robot.urdf",
     "robot.xml",
     "robot.usda",
+    "robot-joints.json",
     "object.ply",
-    "part-*.ply",
     "object.glb",
     "ros.json",
     "object.rrd",
 )
-"""Files, by patterns, that a folder of results has only where an object was found, by an earlier run perhaps."""
+OF_A_PART = (
+    "part-{}.ply",
+    "meshes/object-[0-9]*-{}.obj",
+    "meshes/robot-[0-9]*-{}.obj",
+    "meshes/robot-[0-9]*-{}-body-[0-9]*.obj",
+)
+"""Files of a folder of results that an answer may have or not, and by patterns those of a part."""
 DOUBTFUL = 1
 """Exit code of --strict."""
 
@@ -168,17 +178,16 @@ class EstimateCommand(CategoryCommand):
         """Write the answer to one input; what is said of it."""
         folder = self.output / view.name
         found.estimate.seconds["read"] = view.seconds
-        if found.none:
-            record = found.none_of_them()
-            for file in [file for pattern in OF_AN_ANSWER for file in folder.glob(pattern)]:
-                file.unlink()
-            print(f"{view.file}: none of the categories ({nearest_text(record)}) -> {folder}", file=sys.stderr)
-        else:
-            record = found.to_dict()
-            if T_world_camera is not None:
-                record["world"] = world.in_world(found.estimate, T_world_camera)
-            self._write(view.observation, found, folder, view.file, T_world_camera)
-        write_json(folder / "estimate.json", record)
+        with replacing(_earlier(folder)):
+            if found.none:
+                record = found.none_of_them()
+                print(f"{view.file}: none of the categories ({nearest_text(record)}) -> {folder}", file=sys.stderr)
+            else:
+                record = found.to_dict()
+                if T_world_camera is not None:
+                    record["world"] = world.in_world(found.estimate, T_world_camera)
+                self._write(view.observation, found, folder, view.file, T_world_camera)
+            write_json(folder / ESTIMATE, record)
         return {"input": str(view.file), "output": str(folder), **record}
 
     def _write(
@@ -352,6 +361,17 @@ def _all_categories(own: omad.Estimator | None, device: str, fast: bool) -> list
     taken = {estimator.category.name for estimator in found}
     others = shipped_estimators(device, omad.EstimatorConfig.fast() if fast else None)
     return found + [other for other in others if other.category.name not in taken]
+
+
+def _earlier(folder: Path) -> list[Path]:
+    """Where an earlier answer lies in ``folder``, its files but the JSON."""
+    try:
+        parts = [str(part["name"]) for part in read_json(folder / ESTIMATE, "")["parts"]]
+    except (InputError, LookupError, TypeError):  # none of ours
+        return []
+    names = {re.sub(r"[^\w-]", "_", name) for name in parts} | {name for name in parts if Path(name).name == name}
+    of_parts = [pattern.format(glob.escape(name)) for name in names for pattern in OF_A_PART]
+    return [file for pattern in (*OF_AN_ANSWER, *of_parts) for file in folder.glob(pattern)]
 
 
 def _folder_names(files: Sequence[Path]) -> list[str]:

@@ -4,7 +4,7 @@ import errno
 import json
 import os
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
@@ -93,6 +93,29 @@ def _sweep(folder: str) -> None:
                 if try_lock(handle):
                     os.unlink(entry.path)
                 os.close(handle)
+
+
+@contextmanager
+def replacing(files: Iterable[Path]) -> Iterator[None]:
+    """Of ``files`` that are there now, those that are not written anew within are taken away at the end, and folders of
+    theirs that are empty then; all stay where something goes wrong."""
+    before = {file: _state(file) for file in files if file.is_file()}
+    yield
+    stale = [file for file, state in before.items() if _state(file) == state]
+    for file in stale:
+        file.unlink()
+    for folder in {file.parent for file in stale}:
+        with suppress(OSError):  # others' files are in it
+            folder.rmdir()
+
+
+def _state(file: Path) -> tuple[int, ...] | None:
+    """Another one after the file was written anew; None without it."""
+    try:
+        found = file.stat()
+    except FileNotFoundError:
+        return None
+    return found.st_ino, found.st_mtime_ns, found.st_size
 
 
 def make_folder(path: str | Path) -> None:
