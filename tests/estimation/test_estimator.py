@@ -1,6 +1,7 @@
 """The estimator on rendered views of unseen objects, with the shipped weights."""
 
 import json
+import pickle
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -67,6 +68,23 @@ def test_a_batch_gives_what_single_calls_give(estimator):
         assert np.allclose(alone.joint_states, one.joint_states, atol=2e-3)
         differences.append(difference)
     assert np.median(differences) < 1e-5
+
+
+def test_answers_and_estimators_go_to_other_processes():
+    estimator = Estimator.from_pretrained("laptop", device="cpu")
+    observation = observe(some_views(estimator, 1)[0])
+    estimate = estimator(observation).without_labels()
+    sent = pickle.dumps(estimate)
+    assert len(sent) < 30_000  # neither the bank of surfaces nor the network
+    one, other = pickle.loads(sent), pickle.loads(pickle.dumps(estimate))
+    assert one.to_dict() == estimate.to_dict()
+    for part, mine in zip(one.parts, estimate.parts, strict=True):
+        assert np.array_equal(part.mesh_in_camera.vertices, mine.mesh_in_camera.vertices)
+        assert np.array_equal(part.mesh.faces, mine.mesh.faces)
+    assert other.surfaces.bank is one.surfaces.bank  # of many answers not one each
+    sent = pickle.dumps(estimator)
+    assert len(sent) < 1.1 * sum(value.nbytes for value in estimator.net.state_dict().values())
+    assert pickle.loads(sent)(observation).joint_states.tolist() == estimate.joint_states.tolist()
 
 
 def test_the_same_input_gives_the_same_answer(estimator):

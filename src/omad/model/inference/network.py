@@ -49,6 +49,10 @@ class InferenceNet:
         self.part_fine = Layer(fine.weight / 0.2, fine.bias)
         self.kept = threading.local()
 
+    def __reduce__(self) -> tuple[type[InferenceNet], tuple[OmadNet]]:
+        """A pickle holds the network once, and no buffers."""
+        return type(self), (self.net,)
+
     @torch.no_grad()
     def __call__(self, points: Tensor, labels: bool = True) -> Prediction:
         """points (B, N, 3) float32, as ``OmadNet`` takes them; without ``labels`` the ``part_logits`` are of none."""

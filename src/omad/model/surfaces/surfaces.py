@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, Self
+from weakref import WeakValueDictionary
 
 import numpy as np
 import torch
@@ -85,12 +86,35 @@ class Surfaces:
         """``load`` is called at the first use."""
         self.category, self.config = category, config or SurfaceConfig()
         self._prior, self._load = prior, load
+        self._file: Path | None = None
 
     @classmethod
     def beside(cls, folder: Path, prior: OmadPrior, category: Category) -> Self | None:
         """Those of a checkpoint's folder; None where it has no bank."""
         path = bank_beside(folder)
-        return None if path is None else cls(prior, category, lambda: ShapeBank.load(path, category, prior))
+        if path is None:
+            return None
+        found = cls(prior, category, partial(_shared, path.absolute(), category, prior))
+        found._file = path.absolute()
+        return found
+
+    def __getstate__(self) -> dict[str, Any]:
+        """For pickles and copies: of a bank in a file only where that is, so that an answer stays small."""
+        if self._file is None:
+            return vars(self)
+        # arrays, as workers would hand over tensors in files that stay open
+        weights = {name: as_numpy(value) for name, value in self._prior.state_dict().items()}
+        return {"file": self._file, "category": self.category, "config": self.config, "weights": weights}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        if "weights" not in state:
+            vars(self).update(state)
+            return
+        file, category, weights = state["file"], state["category"], state["weights"]
+        prior = OmadPrior(category, len(weights["beta_mean"]), len(weights["joint_hidden.bias"]))
+        prior.load_state_dict({name: torch.as_tensor(value) for name, value in weights.items()})
+        self.__init__(prior.requires_grad_(False), category, partial(_shared, file, category, prior), state["config"])
+        self._file = file
 
     @cached_property
     def bank(self) -> ShapeBank:
@@ -196,6 +220,21 @@ class Surfaces:
         T[:, :3, 3] *= unit
         states = pose.states * self.category.state_units
         return replace(pose, states=states, pivots=pose.pivots * unit, T_camera_part=T)
+
+
+_banks: WeakValueDictionary[tuple[Any, ...], ShapeBank] = WeakValueDictionary()
+"""Those in use, by file, what it is read for, and when it was written."""
+
+
+def _shared(path: Path, category: Category, prior: OmadPrior) -> ShapeBank:
+    """A bank, read once for all who use it at a time: answers from other processes come one by one. Raises InputError,
+    as ``ShapeBank.load`` does."""
+    written = path.stat().st_mtime_ns if path.is_file() else None
+    key = path, written, category, as_numpy(prior.learned_basis).tobytes()
+    found = _banks.get(key)
+    if found is None:
+        _banks[key] = found = ShapeBank.load(path, category, prior)
+    return found
 
 
 def _in_metres(parts: Sequence[Mesh], unit: float) -> tuple[Mesh, ...]:
