@@ -18,6 +18,7 @@ import omad
 from helpers.command_line import LAPTOP, K, answer, laptop_view, save_png
 from helpers.fuzzing.spoiling import spoil
 from helpers.service import FORM, INTRINSICS, Running, form, served
+from omad.applications.service.asked import in_fields
 from omad.applications.service.batching import Batcher
 from omad.applications.service.bounded import Bounds, Service
 from omad.applications.service.metrics import Metrics
@@ -210,6 +211,42 @@ def test_what_is_no_form_is_refused(service):
     assert service.ask("GET", "/estimate").status == 405
     assert service.ask("GET", "/../../etc/passwd").status == 404
     healthy(service)
+
+
+def test_other_addresses_and_methods_are_refused_in_the_words_of_all_errors(service):
+    for method, path, status in (("GET", "/estimate", 405), ("PUT", "/health", 405), ("GET", "/estimates", 404)):
+        reply = service.ask(method, path)
+        assert (reply.status, reply.record.keys()) == (status, {"error"})
+        assert reply.headers["content-type"] == "application/json"
+        assert "POST /estimate" in reply.record["error"]
+
+
+def test_messages_name_fields_and_no_options(service):
+    labels = png((depths()[0] > 0).astype(np.uint8) + 1)
+    error = service.post(fields(mask=labels)).record["error"]
+    assert "give mask_id, or" in error
+    assert "--" not in error
+    jpeg = stored(Image.fromarray(np.zeros((480, 640), np.uint8)).save, "JPEG")
+    error = service.post(fields(mask=jpeg, mask_id=b"1")).record["error"]
+    assert error == "mask: a JPEG does not keep ids; store label images as PNG, or leave mask_id out"
+    for told, said in (
+        ("(on the command line: --depth-scale 0.001)", "(depth_scale 0.001)"),
+        ("undistort it, or --distortion", "undistort it"),
+        ("align it, or on the command line --color-intrinsics and --color-extrinsics", "align it"),
+        ("--mask-id 3", "mask_id 3"),
+    ):
+        assert in_fields(told) == said
+
+
+def test_who_leaves_before_the_body_is_there_sent_no_wrong_request(service):
+    before = service.ask("GET", "/metrics").body.decode()
+    service.begun().close()
+    until = time.monotonic() + 10
+    while 'status="499"' not in (after := service.ask("GET", "/metrics").body.decode()) and time.monotonic() < until:
+        time.sleep(0.05)
+    counts = [[line for line in text.splitlines() if 'status="400"' in line] for text in (before, after)]
+    assert 'omad_requests_total{status="499"} 1' in after
+    assert counts[0] == counts[1]
 
 
 def test_what_is_no_request_is_refused(service):

@@ -16,7 +16,7 @@ from omad.sensing.observation import Observation
 
 from ..bulk.stream import attempt, estimates_of, why
 from ..solver import Found, Solver
-from .asked import Asked
+from .asked import Asked, in_fields
 from .reply import Reply
 
 PIXELS = 20_000_000
@@ -109,7 +109,7 @@ def _reply(read: _Read, found: Found | Exception) -> Reply:
     if not isinstance(made, Exception):
         return made
     if isinstance(made, InputError):
-        return Reply.failed(400, one_line(made))
+        return Reply.failed(400, in_fields(one_line(made)))
     print(f"omad: a request failed: {why(made)}", file=sys.stderr, flush=True)
     return Reply.failed(500, "the work failed; the server's log says more")
 

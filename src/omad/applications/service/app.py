@@ -3,12 +3,15 @@
 from typing import Any
 
 from fastapi import FastAPI, Request, Response
+from starlette.exceptions import HTTPException
 
 import omad
 
 from .asked import CHECKS, FORMATS, SEGMENTS
 from .bounded import Service
+from .reply import Reply
 
+THERE = "there are POST /estimate, GET /health, GET /metrics and GET /openapi.json"
 RETRY = 1
 """Seconds after which who was turned away may come again."""
 
@@ -43,6 +46,12 @@ def make_app(service: Service) -> FastAPI:
     app = FastAPI(title="OMAD", version=omad.__version__, description=about, docs_url=None, redoc_url=None)
     body = {"requestBody": {"required": True, "content": {"multipart/form-data": _FORM}}}
     said: dict[int | str, dict[str, Any]] = {status: {"description": what} for status, what in _SAYS.items()}
+
+    @app.exception_handler(HTTPException)
+    async def failed(_: Request, error: HTTPException) -> Response:
+        """Of an address or a method that there is not, in the words of all errors."""
+        reply = Reply.failed(error.status_code, f"{error.detail}; {THERE}")
+        return Response(reply.body, reply.status, error.headers, reply.media_type)
 
     @app.post("/estimate", openapi_extra=body, responses=said, response_class=Response)
     async def estimate(request: Request) -> Response:

@@ -1,5 +1,6 @@
 """What one request asks: a depth image as bytes, and how to read it. Readers and limits are those of files."""
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any, Self, TypeVar
@@ -78,6 +79,15 @@ class Asked:
     def metres_per_number(self) -> float | None:
         """Of the image, where that can be told without its numbers."""
         return self.depth_scale or (MILLIMETRES if self.depth.startswith(PNG_MAGIC) else None)
+
+
+def in_fields(message: str) -> str:
+    """What a reader says of the command line's options, said of a request's fields; options that are no field are not
+    offered."""
+    for name in Asked.__dataclass_fields__:
+        option = f"--{name.replace('_', '-')}"
+        message = re.sub(rf"({name} \({option}\)|(on the command line:? )?{option})(?![\w-])", name, message)
+    return re.sub(r",? or (on the command line )?--[a-z-]+( and --[a-z-]+)*", "", message)
 
 
 def _text(name: str, value: bytes) -> str:

@@ -9,11 +9,14 @@ from starlette.requests import Request
 from omad.common.errors import InputError
 
 from .answers import Answers
-from .asked import Asked
+from .asked import Asked, in_fields
 from .batching import Batcher
-from .form import TooLarge, read_form
+from .form import Gone, TooLarge, read_form
 from .metrics import Metrics
 from .reply import Reply
+
+GONE = 499
+"""Who asked is not there any more, and gets no answer: a status for the counts, as nginx has it."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +63,9 @@ class Service:
                 self.answers.check(asked)
                 return await self.batcher(asked)
         except InputError as error:
-            return Reply.failed(400, str(error))
+            return Reply.failed(400, in_fields(str(error)))
+        except Gone:
+            return Reply.failed(GONE, "the body ended too early; send it anew")
         except TooLarge:
             return Reply.failed(413, f"the body has more than {most} bytes; send a smaller image")
         except TimeoutError:

@@ -18,12 +18,17 @@ class TooLarge(Exception):
     """A body beyond the service's limit."""
 
 
+class Gone(Exception):
+    """Who asked left before the body was there."""
+
+
 class _InMemory(MultiPartParser):
     spool_max_size = 2**62
 
 
 async def read_form(request: Request, most: int) -> dict[str, bytes]:
-    """The fields of a multipart form of up to ``most`` bytes, files as they came. Raises InputError, TooLarge."""
+    """The fields of a multipart form of up to ``most`` bytes, files as they came. Raises InputError, TooLarge
+    and Gone."""
     kind = request.headers.get("content-type", "")
     if kind.split(";")[0].strip().lower() != "multipart/form-data":
         raise InputError("the body is no form; send multipart/form-data with depth and intrinsics (curl -F)")
@@ -39,7 +44,7 @@ async def read_form(request: Request, most: int) -> dict[str, bytes]:
     except MultiPartException as error:
         raise InputError(f"the body is no form ({shown(one_line(error))}); send it anew") from error
     except ClientDisconnect as error:
-        raise InputError("the body ended too early; send it anew") from error
+        raise Gone from error
     told: dict[str, bytes] = {}
     for name, value in form.multi_items():
         if name in told:
