@@ -190,6 +190,39 @@ def test_an_annotation_of_a_whole_file(tmp_path: Path) -> None:
         as_mask(both, 6)
 
 
+def test_a_list_of_annotations_is_as_a_file_of_them(tmp_path: Path) -> None:
+    runs = {"size": [40, 60], "counts": RING_COUNTS}
+    ring, other = {"id": 5, "segmentation": runs}, {"id": 8, "segmentation": {"size": [40, 60], "counts": [2400]}}
+    for number, listed in enumerate(([ring], [{"category_id": 1, "segmentation": runs, "score": 0.9}], [runs])):
+        (tmp_path / f"{number}.json").write_text(json.dumps(listed))
+        assert np.array_equal(read_mask(tmp_path / f"{number}.json"), RING)
+    assert np.array_equal(parse_mask(json.dumps([ring, other]).encode(), "mask", 5), RING)
+    assert np.array_equal(as_mask([{"segmentation": MASK, "area": 12}]), MASK)
+    with pytest.raises(InputError, match=r"2 with the ids 5, 8; give mask_id \(--mask-id\)"):
+        as_mask([ring, other])
+    for wrong in ([], [5], [ring, 5], [{"size": [40, 60]}]):
+        with pytest.raises(InputError, match="holds no mask; give one COCO segmentation"):
+            parse_mask(json.dumps(wrong).encode(), "mask")
+
+
+@pytest.mark.parametrize("quality", [30, 75, 95])
+def test_several_colours_of_a_jpeg_are_refused_with_the_cure(tmp_path: Path, quality: int) -> None:
+    rows, columns = np.mgrid[:120, :160]
+    left, right = (columns < 70) & (rows > 20), (columns > 95) & (rows > 60)
+    colours = PALETTE[np.where(left, 1, np.where(right, 2, 0))]
+    Image.fromarray(colours).save(tmp_path / "two.jpg", quality=quality)
+    for read in (read_mask, lambda path: parse_mask(path.read_bytes(), str(path))):
+        with pytest.raises(InputError, match=r"two\.jpg: mask: shows several objects.*JPEG.*store it as PNG"):
+            read(tmp_path / "two.jpg")
+    slanted = abs(rows - columns) < 4  # all of it is edge
+    for name, inside, colour in (("one", left, PALETTE[1]), ("thin", slanted, [200, 30, 160]), ("white", left, 255)):
+        Image.fromarray(np.uint8(inside[..., None] * [colour] * np.ones(3))).save(tmp_path / "a.jpg", quality=quality)
+        assert np.mean(read_mask(tmp_path / "a.jpg") != inside) < 0.02, name
+    shaded = np.random.default_rng(0).integers(60, 255, (120, 160, 3)) * left[..., None]
+    Image.fromarray(shaded.astype(np.uint8)).save(tmp_path / "picture.jpg", quality=quality)
+    assert read_mask(tmp_path / "picture.jpg").any()
+
+
 def test_floats_that_are_whole_numbers_are_as_integers() -> None:
     labels = np.where(MASK, 3.0, 7.0)
     assert np.array_equal(as_mask(labels, 3), MASK)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from omad.common.errors import InputError
+from omad.common.errors import InputError, named
 from omad.common.incoming import (
     array_shapes,
     existing,
@@ -21,7 +21,7 @@ from omad.common.incoming import (
 )
 from omad.common.limits import check_limit
 
-from .masks import as_mask, of_palette
+from .masks import are_annotations, as_mask, check_one_blurred_thing, of_palette
 
 ARRAY_FORMATS = (".npy", ".npz")
 DEPTH_FORMATS = (".png", ".tif", ".tiff", *ARRAY_FORMATS)
@@ -132,7 +132,7 @@ def _colours_or_labels(read: Callable[[str | None], np.ndarray], mask_id: int | 
 
 
 def _checked_mask(stored: Any, name: str | Path, mask_id: int | None) -> np.ndarray:
-    if not isinstance(stored, np.ndarray | dict):
+    if not isinstance(stored, np.ndarray | dict) and not are_annotations(stored):
         raise InputError(f"{name}: holds no mask; give one COCO segmentation, with size and counts")
     try:
         with readable(name, "a mask"):
@@ -144,9 +144,13 @@ def _checked_mask(stored: Any, name: str | Path, mask_id: int | None) -> np.ndar
 
 
 def _without_loss(stored: np.ndarray, name: str | Path, mask_id: int | None) -> np.ndarray:
-    """Of a mask in a JPEG: black and white are no longer quite that along its edge. Raises InputError for ids."""
+    """Of a mask in a JPEG: black and white are no longer quite that along its edge. Raises InputError for ids, and for
+    objects in several colours."""
     if mask_id is not None:
         raise InputError(f"{name}: a JPEG does not keep ids; store label images as PNG, or leave --mask-id out")
+    if stored.ndim == 3:
+        with named(name):
+            check_one_blurred_thing(stored[..., :3])
     grey = stored if stored.ndim == 2 else stored[..., :3].max(-1)
     return grey >= max(int(grey.max(initial=0)) // 2, 1)
 

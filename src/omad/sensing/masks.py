@@ -25,6 +25,8 @@ GREY, SAME_HUE = 0.15, 0.25
 shares differ between shades of one colour."""
 DARK = 0.25
 """What is not so bright, of the brightest colour, has hardly any hue."""
+HUE_BINS, OTHER_HUE, MANY = 36, np.pi / 6, 0.02
+"""Of a circle of hues, and how far from the commonest a hue is another one; which share of the pixels are many."""
 LONGEST = 35
 """Bits of a run length in COCO's strings; no image has so many pixels."""
 WHOLE, SPECK = 0.95, 0.0005
@@ -42,9 +44,11 @@ def as_mask(values: Any, mask_id: int | None = None) -> np.ndarray:
       alpha channel varies it is the mask, else the colours;
     - a COCO segmentation, a mapping with ``size`` (H, W) and ``counts``, compressed or not, or ``polygons``, rows of
       x, y, x, y ... in pixels; or an annotation that has it, or an array as above, under ``segmentation``; or a file
-      of ``annotations``, of which ``mask_id`` is one's id, where there are several.
+      of ``annotations``, or a list of them, of which ``mask_id`` is one's id, where there are several.
 
     Raises InputError for logits, for several masks or labels in one, and for what is none of these."""
+    if are_annotations(values):
+        values = {"annotations": values}
     if isinstance(values, Mapping):
         return _decoded(_annotation(values, mask_id), None if "annotations" in values else mask_id)
     try:
@@ -68,6 +72,12 @@ def as_mask(values: Any, mask_id: int | None = None) -> np.ndarray:
     if stored.dtype.kind == "f":
         return _likely(stored)
     return stored if stored.dtype == bool else _of_one_thing(stored)
+
+
+def are_annotations(values: Any) -> bool:
+    """Whether that is a list of COCO annotations or segmentations, as networks that find objects give it."""
+    each = values if isinstance(values, list | tuple) and values else [None]
+    return all(isinstance(one, Mapping) and {"segmentation", "counts"} & one.keys() for one in each)
 
 
 def of_palette(numbers: np.ndarray, colours: np.ndarray) -> np.ndarray:
@@ -112,6 +122,24 @@ def _check_one_thing(colours: np.ndarray) -> None:
     if (np.abs(hues - hues[counts.argmax()]).max(1) > SAME_HUE)[bright].any():
         cure = "give a label image of one channel with mask_id (--mask-id), or a mask of one colour"
         raise InputError(f"mask: shows several objects, in {len(codes)} colours; {cure}")
+
+
+def check_one_blurred_thing(image: np.ndarray) -> None:
+    """Raises InputError where (H, W, 3) uint8 colours, which a JPEG has changed a little, are mostly a few of several
+    hues. Compression makes the edges of a colour paler, but hardly of another hue."""
+    brightest = image.max(-1)
+    inside = image[brightest >= max(DARK * brightest.max(initial=0), 1)]
+    colours = inside[~_is_grey(inside.astype(int))]
+    counts = np.sort(np.unique(colours // 8 @ (1 << 10, 1 << 5, 1), return_counts=True)[1])[::-1]
+    if np.count_nonzero(np.cumsum(counts) < len(colours) / 2) >= FEW:  # a picture
+        return
+    hues = np.angle(colours @ np.exp(2j * np.pi / 3 * np.arange(3)))
+    found, edges = np.histogram(hues, HUE_BINS, (-np.pi, np.pi))
+    common = edges[found.argmax()] + np.pi / HUE_BINS
+    others = np.abs(np.angle(np.exp(1j * (hues - common)))) > OTHER_HUE
+    if np.count_nonzero(others) > MANY * len(inside):
+        cure = "store it as PNG: a label image with mask_id (--mask-id), or a mask of one colour"
+        raise InputError(f"mask: shows several objects, whose colours a JPEG has blurred; {cure}")
 
 
 def _is_grey(colours: np.ndarray) -> np.ndarray:
