@@ -17,6 +17,7 @@ from omad.data.rendering.depth_noise import ON
 from omad.data.rendering.standard_views import standard_view
 from omad.data.rendering.tabletop import Placed, Surroundings, Tabletop, draw_tabletop
 from omad.estimation.categories.fronts import front_says
+from omad.estimation.categories.late import LateEstimator
 from omad.geometry.camera import STANDARD_CAMERA
 from omad.model.fronts.network import shipped_front_net
 from omad.objects.category_file import get_category
@@ -64,6 +65,20 @@ def test_objects_on_a_table_over_a_floor_are_found() -> None:
         found += sum(any(one.category == p.category and shared(one, p) > 0.5 for one in named) for p in wanted)
     assert there >= 4
     assert found >= 0.8 * there
+
+
+@pytest.mark.parametrize(("name", "factor", "other"), [("laptop", 10.0, "refrigerator"), ("microwave", 0.1, "stapler")])
+def test_a_scale_at_which_things_are_objects_is_named(name: str, factor: float, other: str) -> None:
+    """Though at the one that was given they are as large as some other category's may be."""
+    drawn, detector = draw_tabletop((name,), (5, 5)), Detector([LateEstimator.of(one) for one in (name, other)])
+    frame = omad.Observation.from_depth(np.float32(factor) * drawn.depth, drawn.camera)
+    look = detector.look(frame)
+    assert not any(one.category for one in look.detections)
+    [said] = detector.scale_doubts(look, 0.001 * factor)
+    assert "at another scale" in said
+    assert said.endswith(f"10 times too {'large' if factor > 1 else 'small'}; --depth-scale 0.001")
+    true = detector.look(omad.Observation.from_depth(drawn.depth, drawn.camera))
+    assert list(detector.scale_doubts(replace(true, detections=true.detections[-1:]), 0.001)) == []
 
 
 def test_where_no_table_was_told_from_what_stands_on_it_that_is_said() -> None:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 
@@ -134,6 +135,16 @@ class WrongScale:
     why: str
     cure: str
 
+    @classmethod
+    def of(cls, factor: float, depth_scale: float | None) -> Self:
+        """Depth has to be taken so many times; ``depth_scale``: metres per number that it was read with, where
+        known."""
+        units = {0.001: "millimetres read as metres", 1000.0: "metres read as millimetres"}
+        wrong = f"{factor:g} times too small" if factor > 1 else f"{1 / factor:g} times too large"
+        told = depth_scale is not None
+        cure = f"--depth-scale {depth_scale * factor:g}" if told else f"multiply the depth scale by {factor:g}"
+        return cls(f"depth looks like {units.get(factor, f'lengths {wrong}')}", cure)
+
 
 def wrong_scale(size: float, usual: float, depth_scale: float | None = None) -> WrongScale | None:
     """What depth must have been read wrongly by, where something is ``size`` metres large and ``usual`` is another;
@@ -141,12 +152,7 @@ def wrong_scale(size: float, usual: float, depth_scale: float | None = None) -> 
     factor = min(FACTORS, key=lambda factor: abs(np.log(max(size, POINT) * factor / usual)))
     if not usual / ODD_SIZE < size * factor < ODD_SIZE * usual:
         return None
-    units = {0.001: "millimetres read as metres", 1000.0: "metres read as millimetres"}
-    wrong = f"{factor:g} times too small" if factor > 1 else f"{1 / factor:g} times too large"
-    cure = (
-        f"multiply the depth scale by {factor:g}" if depth_scale is None else f"--depth-scale {depth_scale * factor:g}"
-    )
-    return WrongScale(f"depth looks like {units.get(factor, f'lengths {wrong}')}", cure)
+    return WrongScale.of(factor, depth_scale)
 
 
 def camera_doubts(

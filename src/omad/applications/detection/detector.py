@@ -10,7 +10,7 @@ import numpy as np
 from omad.common.arrays import as_doubles
 from omad.estimation.categories.late import AnyEstimator, LateEstimator
 from omad.estimation.categories.proposals import Proposals
-from omad.estimation.checks import USUAL_SIZE, wrong_scale
+from omad.estimation.checks import FACTORS, USUAL_SIZE, WrongScale, wrong_scale
 from omad.estimation.estimate import Estimate, plain
 from omad.geometry.rigid import box as bounds
 from omad.model.checkpoint import shipped_categories
@@ -26,6 +26,8 @@ LEAST = 150
 """Points of the smallest thing that is looked at."""
 SURE = 0.5
 """An object is of a category that is at least so likely; what reaches this for no category is none of them."""
+SURE_OF_SCALE = 0.9
+"""A thing is as likely an object, where another scale is believed for it."""
 NONE = "none"
 """Of the categories, where they are names."""
 MARGIN, TOUCHED = 0.05, 0.02
@@ -113,8 +115,14 @@ class Look:
     """Those of the categories whose objects, laid flat, are about so low."""
     doubts: tuple[str, ...]
     """Of the camera, by how table, floor and walls stand to each other; and of these, where they may not be found."""
-    support_plane: np.ndarray | None
-    """(4,) n . p = d of points p, metres, camera frame, n towards the camera: the largest of table, floor and walls."""
+    planes: np.ndarray
+    """(P, 4) n . p = d of points p, metres, camera frame, n towards the camera: table, floor and walls, the largest
+    first."""
+
+    @property
+    def support_plane(self) -> np.ndarray | None:
+        """(4,) of the largest plane."""
+        return self.planes[0] if len(self.planes) else None
 
 
 @dataclass(frozen=True)
@@ -148,19 +156,32 @@ class Detector:
                 judged, found = alone, replace(found, planes=found.planes[:0])
         flat = tuple(e.category.name for e in self.estimators if _height(e) < CLEAR * found.lowest)
         doubts = (*angle_doubts(found.planes), *_unsupported(frame, found.planes, judged))
-        return Look(judged, found.lowest, flat, doubts, found.planes[0] if len(found.planes) else None)
+        return Look(judged, found.lowest, flat, doubts, found.planes)
 
     def scale_doubts(self, look: Look, depth_scale: float | None) -> Iterator[str]:
         """Where a wrong ``depth_scale``, metres per number where known, may be why nothing is of the categories: most
-        things are of no object's size."""
+        things are of no object's size, or at another scale some are objects."""
         sizes = [float(np.linalg.norm(np.ptp(one.observation.points, axis=0))) for one in look.detections]
         usual = [USUAL_SIZE * estimator.category.metres_per_unit for estimator in self.estimators]
         if not sizes or any(one.category for one in look.detections):
             return
-        if min(usual) / ODD_SIZE < np.median(sizes) < ODD_SIZE * max(usual):
-            return
-        if scale := wrong_scale(max(sizes), float(np.median(usual)), depth_scale):
-            yield f"{len(sizes)} things of up to {max(sizes):.2g} m, none of them an object: {scale.why}; {scale.cure}"
+        what, scale = f"{len(sizes)} things of up to {max(sizes):.2g} m, none of them an object", None
+        if not min(usual) / ODD_SIZE < np.median(sizes) < ODD_SIZE * max(usual):
+            scale = wrong_scale(max(sizes), float(np.median(usual)), depth_scale)
+        best = 0.0
+        for factor in () if scale else FACTORS:
+            sure = [one for one in self._at_scale(look, factor) if one.category and one.probability > SURE_OF_SCALE]
+            if (score := sum(one.probability for one in sure)) > best:
+                best, scale = score, WrongScale.of(factor, depth_scale)
+                what = f"{len(sizes)} things, none of them an object, but at another scale {len(sure)} of them"
+        if scale is not None:
+            yield f"{what}: {scale.why}; {scale.cure}"
+
+    def _at_scale(self, look: Look, factor: float) -> list[Detection]:
+        """The things of a look as they would be judged in a frame so many times as large."""
+        things = [one.observation for one in look.detections]
+        scaled = [replace(thing, points=thing.points * np.float32(factor)) for thing in things]
+        return self._judged(scaled, look.planes * np.array([1, 1, 1, factor]))
 
     def whole(self, frame: Observation) -> Detection:
         """All of a frame as one thing, without table, floor and walls."""
