@@ -13,7 +13,8 @@ from PIL import Image
 from omad.common.errors import InputError
 from omad.common.files import write_atomic
 from omad.sensing.camera_files import read_intrinsics
-from omad.sensing.depth_files import read_cloud, read_depth, read_mask
+from omad.sensing.depth_files import in_metres, read_cloud, read_depth, read_mask
+from omad.sensing.observation import Observation
 
 DEPTH_MM = np.arange(12, dtype=np.uint16).reshape(3, 4) * 100
 CLOUD = np.random.default_rng(0).uniform(-1, 1, (60, 3)).astype(np.float32)
@@ -283,3 +284,19 @@ def test_writing_below_a_file_is_an_input_error(tmp_path: Path) -> None:
     with pytest.raises(InputError) as error:
         write_atomic(tmp_path / "file" / "out.json", lambda p: p.write_text(""))
     assert_one_line(error, "out.json")
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("scale", [1e-30, 1e300, 0.0, -0.001, float("nan")])
+def test_a_depth_scale_that_none_can_be_is_refused(scale: float) -> None:
+    with pytest.raises(InputError, match=r"^depth scale .*: give metres per stored integer, 0\.001 for millimetres"):
+        in_metres(np.full((60, 80), 900, np.uint16), scale)
+
+
+@pytest.mark.filterwarnings("error")
+def test_distances_of_nothing_are_refused() -> None:
+    depth, points = np.full((60, 80), 1e-27, np.float32), np.random.default_rng(0).normal(size=(500, 3)) * 1e-27
+    with pytest.raises(InputError, match=r"depth: median distance 1e-27 m is nothing .* check the depth scale"):
+        Observation.from_depth(depth, (60, 60, 39.5, 29.5), segment="plane")
+    with pytest.raises(InputError, match=r"points: median distance \S+ m is nothing"):
+        Observation.from_points(points, segment="plane")

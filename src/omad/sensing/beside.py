@@ -16,11 +16,11 @@ from omad.common.errors import InputError
 from omad.common.limits import limits
 
 from .camera_files import CameraFile, camera_of, read_table, tells_of_camera
+from .depth_files import SCALES
 
 OF_DEPTH = ".depth"
 COMPANIONS = (".mask", ".labels", ".instances", ".color")
 """What an image's name has before its extension where it belongs to a depth image, and is none."""
-SCALES = (1e-9, 1e9)
 KEY = "depth_scale"
 
 

@@ -33,6 +33,8 @@ ARRAY_MAGIC, JPEG_MAGIC = (b"\x93NUMPY", b"PK"), b"\xff\xd8"
 """What arrays and JPEGs begin with."""
 MILLIMETRES = 1e-3
 """Metres per stored integer of a depth image that does not say otherwise."""
+SCALES = (1e-9, 1e9)
+"""Which others there may be."""
 
 
 NOTHING_BACK = 2**16 - 1
@@ -59,8 +61,6 @@ def parse_depth(stored: bytes, name: str, depth_scale: float | None = None) -> n
 def _checked_depth(
     stored: np.ndarray, name: str | Path, depth_scale: float | None, metres_per_integer: float = MILLIMETRES
 ) -> np.ndarray:
-    if depth_scale is not None and not (np.isfinite(depth_scale) and depth_scale > 0):
-        raise InputError(f"depth scale {depth_scale}: give metres per stored integer, 0.001 for millimetres")
     try:
         check_limit("image_pixels", stored.size, "the image")
         return in_metres(stored, depth_scale, metres_per_integer)
@@ -81,6 +81,8 @@ def in_metres(
 ) -> np.ndarray:
     """Depth image (H, W) float32 in metres of stored numbers, as ``read_depth`` takes them; the largest integer of
     their kind becomes 0, for drivers write it where nothing came back. Raises InputError."""
+    if depth_scale is not None and not SCALES[0] <= depth_scale <= SCALES[1]:
+        raise InputError(f"depth scale {depth_scale:g}: give metres per stored integer, 0.001 for millimetres")
     stored = stored[..., 0] if stored.ndim == 3 and stored.shape[2] == 1 else stored
     if stored.ndim != 2 or stored.dtype == np.uint8:
         cure = "(8-bit or colour images hold too few depth steps); export 16-bit single-channel depth"

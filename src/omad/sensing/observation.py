@@ -21,6 +21,8 @@ from .masks import as_mask, odd_mask
 MIN_POINTS = 50
 FAR = 100.0
 """Metres. A scene whose median distance is beyond this was stored in millimetres."""
+NEAR = 1e-6
+"""Metres. Nor is any scene so near."""
 FARTHEST = 1e4
 """Metres. Nothing is measured farther away: such numbers mean no measurement."""
 MOST_POINTS = 1_500_000
@@ -271,7 +273,7 @@ def _check_depth(depth_m: Any) -> np.ndarray:
         farthest = depth.max()
     if farthest == 0:
         raise NothingSeen("depth: no pixel holds a measurement (all are zero or NaN); check the camera and the file")
-    if farthest > FAR:
+    if farthest > FAR or farthest < NEAR:
         _check_metres(stored[depth > 0], "depth")
         depth[depth > FARTHEST] = 0
     if stored.dtype.kind in "iu":
@@ -283,6 +285,9 @@ def _check_metres(distances: np.ndarray, name: str) -> None:
     if (median := np.median(distances.astype(np.float64, copy=False))) > FAR:
         cure = "metres are expected; multiply by 0.001 (on the command line: --depth-scale 0.001)"
         raise InputError(f"{name}: median distance {median:.0f} looks like millimetres, {cure}")
+    if median < NEAR:
+        cure = "metres are expected; check the depth scale (on the command line: --depth-scale)"
+        raise InputError(f"{name}: median distance {median:.2g} m is nothing that a camera sees, {cure}")
 
 
 def _check_camera(K: Any, shape: tuple[int, ...]) -> Camera:
