@@ -206,6 +206,23 @@ def test_parquet_gives_what_single_images_give(stored):
     assert refused == [None] * 5
 
 
+def test_the_number_of_an_object_needs_a_mask_in_every_row(stored):
+    """Or one for rows without."""
+    parquet, table = pytest.importorskip("pyarrow.parquet"), pytest.importorskip("pyarrow").table
+    labels = [np.where(mask, 3, 7).astype(np.uint8).tobytes() for mask in masks()[:1]]
+    size = {"height": [480] * 2, "width": [640] * 2}
+    views = {"depth": [depths()[i].tobytes() for i in range(2)], "mask": [*labels, None], **size}
+    parquet.write_table(table(views), stored / "views.parquet")
+    reading = replace(READING, mask_id=3)
+    good, bad = outcomes_of(open_sources([stored / "views.parquet"], reading))
+    assert_same([good], masked=True)
+    assert bad.refused is not None
+    assert bad.refused.startswith("mask: is null, and --mask-id 3 tells one of its objects; give the row a mask")
+    np.save(stored / "labels.npy", np.where(masks()[1], 3, 7).astype(np.uint8))
+    found = outcomes_of(open_sources([stored / "views.parquet"], replace(reading, mask=stored / "labels.npy")))
+    assert_same(found, masked=True)
+
+
 @pytest.mark.parametrize(
     ("inputs", "mask", "reason"),
     [

@@ -13,6 +13,7 @@ import pytest
 from PIL import Image
 
 from helpers.command_line import LAPTOP, K, answer, laptop_view, refused, save_png
+from omad.cli.main import run
 
 
 @pytest.fixture(autouse=True)
@@ -41,6 +42,18 @@ def test_bad_images_are_rows_of_their_own(capsys):
     np.testing.assert_allclose(first["beta"], last["beta"], atol=1e-5)
     single = answer(capsys, "estimate", "views/a.png", *LAPTOP, *K)
     assert first["joints"][0]["state"] == pytest.approx(single["joints"][0]["state"], abs=1e-6)
+
+
+def test_a_refused_image_is_named_once(capsys):
+    save_png("views/a.png")
+    blank = np.zeros((480, 640), np.uint16)
+    Image.fromarray(blank).save("views/b.png")
+    np.save("stack.npy", blank[None])
+    capsys.readouterr()
+    assert run(["bulk", "views", "stack.npy", *LAPTOP, *K, "--output", "out.jsonl"]) == 2
+    lines = [line for line in capsys.readouterr().err.splitlines() if "no pixel holds a measurement" in line]
+    assert [line.partition(": depth: ")[0] for line in lines] == ["omad: views/b.png", "omad: stack.npy[0]"]
+    assert "views/b.png" not in lines[0].partition(": depth: ")[2]
 
 
 def test_a_folder_of_folders_as_render_writes_it_is_read_with_what_lies_beside_the_images(capsys):

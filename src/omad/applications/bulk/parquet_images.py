@@ -4,7 +4,7 @@
   columns ``height`` and ``width`` the pixels row by row, as numbers or as little-endian bytes of uint16, float32 or
   float64; or a list of rows of numbers. Integers are millimetres, floats metres, if nothing else is said.
 - ``mask``, if there is one: in the same forms, as ``read_mask`` takes them, or a byte a pixel; of rows without one the
-  mask given for all holds.
+  mask given for all holds; where there is none and ``mask_id`` says which object, such a row is refused.
 - ``depth_scale``, if it is not the usual one: metres per stored number.
 - ``intrinsics``, if they are not the same for all: fx, fy, cx, cy, or nine numbers row by row.
 - ``id``, if rows have names.
@@ -106,6 +106,9 @@ class ParquetImages:
         if mask is None:
             assert not isinstance(self.reader.mask, Path)  # ``open`` refuses it
             mask = self.reader.mask
+        if mask is None and (number := self.reader.mask_id) is not None:
+            cure = "give the row a mask, or --mask for rows without, or leave the row or --mask-id out"
+            raise InputError(f"mask: is null, and --mask-id {number} tells one of its objects; {cure}")
         told = values["intrinsics"].as_py() if "intrinsics" in values else None
         camera = None if told is None else _camera(told)
         scale = self.reader.depth_scale

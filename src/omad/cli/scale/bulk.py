@@ -71,7 +71,8 @@ class Bulk(CategoryCommand):
                 refused += 1
                 if refused <= TOLD:
                     more = "; further ones are named in the output alone" if refused == TOLD else ""
-                    print(f"omad: {outcome.name}: {outcome.refused}{more}", file=sys.stderr)
+                    name = "" if outcome.refused.startswith(f"{outcome.name}: ") else f"{outcome.name}: "
+                    print(f"omad: {name}{outcome.refused}{more}", file=sys.stderr)
         seconds = time.perf_counter() - began
         results.finish()
         record = {"output": str(self.output), "images": results.done, "refused": results.refused}
