@@ -28,6 +28,8 @@ def test_kept_outputs_are_small_and_without_errors(path):
     outputs = [output for cell in cells for output in cell.outputs]
     assert not [output for output in outputs if output.output_type == "error"]
     assert not [output for output in outputs if "/tmp/" in str(output)]
+    if path.stem == "own-category":  # its own network answers, not the shipped one of the folder's name
+        assert "Estimate of a my_microwave: door_joint" in str(outputs)
 
 
 @pytest.mark.slow

@@ -90,7 +90,9 @@ def test_python_of_the_tutorial_runs(inside):
     found = blocks(TUTORIAL, "python")
     assert found
     for code in found:
-        exec(code, {"depth_m": view.depth, "K": STANDARD_CAMERA.K, "mask": view.depth > 0})
+        names = {"depth_m": view.depth, "K": STANDARD_CAMERA.K, "mask": view.depth > 0}
+        exec(code, names)
+        assert names["estimator"].category.name == "my_microwave"  # not the shipped category of the folder's name
 
 
 def test_the_spec_files_are_those_of_the_docs():
