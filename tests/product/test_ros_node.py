@@ -2,6 +2,7 @@
 rosbags' own; rclpy, which pip does not have, is a stand-in that notes what is published."""
 
 import importlib
+import runpy
 import sys
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
@@ -151,3 +152,35 @@ def test_the_node_answers_each_image(store, published, monkeypatch):
     info.width = 320
     running.answer(depth, info)
     assert published[-1][0] == "error"
+
+
+def test_the_launch_file_takes_what_the_node_takes(published, monkeypatch):
+    node, asked = importlib.import_module("omad_ros.node"), []
+    stand_in_for_launch(monkeypatch)
+    told = runpy.run_path(str(PACKAGE / "launch" / "omad.launch.py"))
+    assert told["PARAMETERS"].keys() == told["TYPES"].keys() == node.DEFAULTS.keys()
+    assert told["generate_launch_description"]() is not None
+    monkeypatch.setattr(node.Estimator, "from_pretrained", lambda weights, device: asked.append(weights))
+    monkeypatch.setattr(node, "Perception", lambda *_: None)
+    monkeypatch.setattr(node, "DEFAULTS", {**node.DEFAULTS, "weights": "laptop"})
+    node.OmadNode()
+    assert asked == [Path("laptop")]  # a path: the folder, not the shipped category of its name
+
+
+def stand_in_for_launch(monkeypatch) -> None:
+    """Stands for the packages launch and launch_ros, which pip does not have."""
+
+    def anything(*_, **__) -> object:
+        return object()
+
+    for name, member in (
+        ("launch", "LaunchDescription"),
+        ("launch.actions", "DeclareLaunchArgument"),
+        ("launch.substitutions", "LaunchConfiguration"),
+        ("launch_ros", ""),
+        ("launch_ros.actions", "Node"),
+        ("launch_ros.parameter_descriptions", "ParameterValue"),
+    ):
+        made = ModuleType(name)
+        setattr(made, member, anything)
+        monkeypatch.setitem(sys.modules, name, made)

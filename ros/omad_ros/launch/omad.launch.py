@@ -5,15 +5,18 @@ from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterValue
 
 TOPICS = {"depth": "/camera/depth/image_rect_raw", "info": "/camera/depth/camera_info", "mask": "/mask"}
-PARAMETERS = {"category": "laptop", "use_mask": "false", "track": "true"}
+PARAMETERS = {"category": "laptop", "weights": "", "use_mask": "false", "track": "true"}
+TYPES = {"category": str, "weights": str, "use_mask": bool, "track": bool}
+"""Left to itself ROS takes an empty text for no value, and a folder called 12 for a number."""
 
 
 def generate_launch_description() -> LaunchDescription:
     told = [DeclareLaunchArgument(name, default_value=topic) for name, topic in TOPICS.items()]
     told += [DeclareLaunchArgument(name, default_value=value) for name, value in PARAMETERS.items()]
-    parameters = {name: LaunchConfiguration(name) for name in PARAMETERS}
+    parameters = {name: ParameterValue(LaunchConfiguration(name), value_type=TYPES[name]) for name in PARAMETERS}
     remappings = [(name, LaunchConfiguration(name)) for name in TOPICS]
     node = Node(package="omad_ros", executable="omad_node", parameters=[parameters], remappings=remappings)
     return LaunchDescription([*told, node])

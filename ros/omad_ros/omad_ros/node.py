@@ -6,6 +6,7 @@ image) and with ``use_mask`` ``mask`` (sensor_msgs/Image, not zero on the object
 """
 
 import sys
+from pathlib import Path
 from typing import Any
 
 import rclpy
@@ -43,7 +44,8 @@ class OmadNode(Node):
     def __init__(self) -> None:
         super().__init__("omad")
         told = {name: self.declare_parameter(name, default).value for name, default in DEFAULTS.items()}
-        estimator = Estimator.from_pretrained(told["weights"] or told["category"], "cpu")
+        # a path is a folder, even one that is called like a category
+        estimator = Estimator.from_pretrained(Path(told["weights"]) if told["weights"] else told["category"], "cpu")
         self.perception = Perception(estimator, told["track"])
         types = {f"{package}/msg/{kind.__name__}": kind for package, kinds in CLASSES.items() for kind in kinds}
         self.messages = Messages(types)
