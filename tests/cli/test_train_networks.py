@@ -38,6 +38,18 @@ def test_training_goes_on_at_the_size_that_was_begun_unless_another_is_asked_for
         networks.TrainNet(**fine, size="paper").run()
 
 
+def test_a_word_that_is_a_category_and_a_folder_is_refused(monkeypatch, tmp_path):
+    asked = []
+    monkeypatch.setattr(networks._Training, "learn", lambda self, train, settings, **given: asked.append(given))
+    monkeypatch.chdir(tmp_path)
+    save(OmadNet(LAPTOP, OmadPrior(LAPTOP), BACKBONES["fine"]), Path("laptop"), {})
+    for option in ("initial", "features"):
+        with pytest.raises(InputError, match=rf"--{option} laptop: .* give \./laptop for the folder"):
+            networks.TrainNet(category="laptop", output=Path("run"), **{option: "laptop"}).run()
+    networks.TrainNet(category="laptop", output=Path("run"), initial="./laptop").run()
+    assert asked[0]["initial"].backbone.config == BACKBONES["fine"]
+
+
 @pytest.mark.slow
 def test_a_training_that_diverges_fails_in_one_line(capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

@@ -152,6 +152,15 @@ def find_weights(name: str | Path) -> Path:
     )
 
 
+def meant_weights(option: str, name: str) -> Path:
+    """``find_weights`` of a word that may be a category or a folder. Raises InputError, with the ``option``, also where
+    it is both: which of them is meant, it does not tell."""
+    if name in shipped_categories() and is_checkpoint(Path(name)):
+        cure = f"give ./{name} for the folder, {WEIGHTS / name} for the shipped one"
+        raise InputError(f"{option} {name}: is a category with shipped weights, and a checkpoint folder here; {cure}")
+    return find_weights(name)
+
+
 def shipped_categories() -> list[str]:
     """Categories whose weights are in the package."""
     return sorted(path.parent.name for path in WEIGHTS.glob("*/config.json"))

@@ -44,6 +44,7 @@ with lazy_imports():
         category_of,
         find_weights,
         load,
+        meant_weights,
         save,
         shipped_categories,
         training_record,
@@ -210,7 +211,7 @@ class _NetTraining(_Training):
     def load_start(self, option: str, weights: str | None) -> OmadNet | None:
         if weights is None:
             return None
-        net = load(OmadNet, find_weights(weights))
+        net = load(OmadNet, meant_weights(option, weights))
         if not self.backbone(net).takes_weights_of(net.backbone.config):
             raise InputError(f"{option} {weights}: is not of the size {self.size}; change --size")
         return net
