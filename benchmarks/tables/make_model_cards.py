@@ -107,7 +107,10 @@ def stages(record: dict[str, Any], name: str, next_one: str | None = None) -> li
     schedule = record.get("schedule", {})
     words = [f"{record['objects']} objects"] if "objects" in record else []
     if minutes := record.get("cpu_minutes") or record.get("minutes") or schedule.get("max_minutes"):
-        words.append(f"{minutes:g} minutes")
+        device = record.get("device", "CPU")
+        words.append(
+            f"{minutes:g} minutes" + f" of one {device}, {schedule.get('batch')} views a step" * (device != "CPU")
+        )
     elif schedule:
         words.append(f"{schedule['steps']} steps of {schedule['batch']}")
     if schedule:

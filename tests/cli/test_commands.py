@@ -334,7 +334,7 @@ def test_an_interrupted_training_goes_on_where_it_was(capsys, monkeypatch):
     answer(capsys, *net[:-1], "robust", "--initial", "net", "--clutter")
     config = json.loads(Path("robust/config.json").read_text())
     assert config["tells_outside"]
-    assert config["training"]["clutter"]
+    assert (config["training"]["clutter"], config["training"]["device"]) == (True, "CPU")
     few = ["--objects", "1", "--views", "1", "--device", "cpu"]
     assert answer(capsys, "eval", "pose", *LAPTOP, "--weights", "robust", *few)["views"] == 1
 

@@ -29,7 +29,7 @@ from ..options import (
 from .schedule import ScheduleOptions
 
 with lazy_imports():
-    from omad.common.runtime import pick_device
+    from omad.common.runtime import device_name, pick_device
     from omad.data.clutter.settings import Clutter
     from omad.data.source import is_generated, load_models, load_objects
     from omad.data.training_views import ViewSettings
@@ -112,7 +112,7 @@ class _Training:
             begun |= {"folder": self.output, "settings": replace(preset, schedule=schedule), "processes": processes}
             net = train(models=models, category=category, device=processes.device, **begun)
             if processes.first:
-                save(net, self.output, self.record(schedule))
+                save(net, self.output, self.record(schedule) | {"device": device_name(processes.device)})
         return Answer({"checkpoint": str(self.output)})
 
     def record(self, schedule: Schedule) -> dict[str, Any]:
