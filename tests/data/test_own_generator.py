@@ -63,6 +63,19 @@ WRONG = {
         "    return JointedParts((None, None), rng.normal(size=(1, 3)))\n",
         "parts that are no Mesh",
     ),
+    "a mesh in place of all parts": (
+        "from omad.data.procedural.vocabulary import JointedParts, box\n\n\ndef generate(rng, category, unusual):\n"
+        "    return JointedParts(box((0, 0, 0), (1, 1, 1)), rng.normal(size=(1, 3)))\n",
+        "give a tuple of them",
+    ),
+    "an end of the program": ("import sys\n\nsys.exit()\n", r"own\.py:3: SystemExit"),
+    "an end in the middle": ("def generate(rng, category, unusual):\n    raise SystemExit\n", r"own\.py:2: SystemExit"),
+    "randomness of its own": (
+        "import numpy as np\nfrom omad.data.procedural.vocabulary import JointedParts, box\n\n\n"
+        "def generate(rng, category, unusual):\n"
+        "    return JointedParts((box((0, 0, 0), np.random.uniform(0.1, 0.2, 3)),) * 2, [[0, 0, 0]])\n",
+        "another object for the same rng",
+    ),
     "pivots of another shape": (
         "from omad.data.procedural.vocabulary import JointedParts, box\n\n\ndef generate(rng, category, unusual):\n"
         "    return JointedParts((box((0, 0, 0), (1, 1, 1)),) * 2, rng.normal(size=3))\n",
@@ -79,6 +92,17 @@ NUMBERS = {
         ", np.full((1, 3), np.nan)",
         "pivots that are no finite",
     ),
+    "a vertex of two numbers": ("Mesh(np.zeros((3, 2)), [[0, 1, 2]])", "", "vertices of the part .* three a vertex"),
+    "faces of four corners": ("Mesh(np.eye(4, 3), [[0, 1, 2, 3]])", "", "that are no triangles"),
+    "faces that are no whole numbers": ("Mesh(np.eye(3), [[0.0, 1.0, 2.0]])", "", "three whole numbers a face"),
+    "faces that differ": ("Mesh(np.eye(3), [[0, 1, 2], [0, 1]])", "", "that are no triangles"),
+    "a face beyond the vertices": ("Mesh(np.eye(3), [[0, 1, 3]])", "", "vertices that are not there"),
+    "a part without an area": ("Mesh(np.zeros((3, 3)), [[0, 1, 2]])", "", "without an area"),
+    "limits of another joint": (
+        "box((0, 0, 0), (0.1, 0.1, 0.1))",
+        ", limits=np.array([[-1.0, -0.5]])",
+        "outside of the spec's",
+    ),
     "an axis of nothing": ("box((0, 0, 0), (0.1, 0.1, 0.1))", ", axes=np.zeros((1, 3))", "axis without a direction"),
     "limits turned": ("box((0, 0, 0), (0.1, 0.1, 0.1))", ", limits=np.array([[1.0, 0.0]])", "the wrong way round"),
     "limits in degrees": ("box((0, 0, 0), (0.1, 0.1, 0.1))", ", limits=np.array([[0.0, 90.0]])", "give radians"),
@@ -92,7 +116,7 @@ def test_numbers_that_cannot_be_are_said_in_a_line(part, further, said, tmp_path
     pivots = "" if "pivot" in said else ", np.zeros((1, 3))"
     file.write_text(
         "import numpy as np\nfrom omad.data.procedural.vocabulary import JointedParts, box\n"
-        "from omad.geometry.mesh import merge_meshes\n\n\ndef generate(rng, category, unusual):\n"
+        "from omad.geometry.mesh import Mesh, merge_meshes\n\n\ndef generate(rng, category, unusual):\n"
         f"    return JointedParts(({part},) * 2{pivots}{further})\n"
     )
     with pytest.raises(InputError, match=said):
@@ -119,3 +143,39 @@ def test_what_is_wrong_in_one_is_said_in_a_line(text, said, tmp_path):
     with pytest.raises(InputError, match=said) as raised:
         own_generator(file)(np.random.default_rng(0), MAILBOX, None)
     assert "\n" not in str(raised.value)
+
+
+FAMILIES = {
+    "z up": (
+        "tuple(Mesh(mesh.vertices[:, [0, 2, 1]] * [1, -1, 1], mesh.faces) for mesh in made.parts)",
+        "",
+        "reach says",
+    ),
+    "the flap first": ("made.parts[::-1]", "", "side says"),
+    "turned round": ("made.parts", ", axes=[[-1, 0, 0]]", "180 degrees off the spec's"),
+    "far from its hinge": ("made.parts", ", pivots=made.pivots + [0, 50, 0]", "reach says"),
+}
+
+
+def family(folder: Path, parts: str, further: str) -> str:
+    """A generator of what the example makes, with other parts."""
+    (folder / "mailbox.py").write_text(GENERATOR.read_text())
+    file = folder / "own.py"
+    file.write_text(
+        "import runpy\nfrom dataclasses import replace\nfrom pathlib import Path\n\n"
+        'make = runpy.run_path(str(Path(__file__).with_name("mailbox.py")))["generate"]\n\n\n'
+        "def generate(rng, category, unusual):\n    made = make(rng, category, unusual)\n"
+        f"    return replace(made, parts={parts}{further})\n"
+    )
+    return str(file)
+
+
+@pytest.mark.parametrize(("parts", "further", "said"), FAMILIES.values(), ids=FAMILIES)
+def test_a_family_that_lies_otherwise_than_the_spec_says_is_refused(parts, further, said, tmp_path):
+    with pytest.raises(InputError, match=rf"4 of 4 objects are no mailbox: .*{said}; mend the generator"):
+        load_models(family(tmp_path, parts, further), MAILBOX, 4, "train", 0)
+
+
+def test_limits_are_kept_within_those_of_the_spec(tmp_path):
+    [model] = load_models(family(tmp_path, "made.parts", ", limits=[[-3, 1]]"), MAILBOX, 1, "train", 0).models
+    np.testing.assert_array_equal(model.limits, [[0.0, 1.0]])

@@ -17,7 +17,7 @@ from omad.objects.model import ObjectModel, SampledObject
 
 from .artimage import Broken, is_artimage, open_artimage
 from .procedural import generate
-from .procedural.own import SUFFIX, own_generator
+from .procedural.own import SUFFIX, check_family, own_generator
 from .rendering.depth_noise import LEVELS
 from .rendering.standard_views import View, standard_views
 from .rendering.view_folder import is_view_folder, open_views
@@ -134,7 +134,9 @@ def _mirrored(source: str, category: Category, objects: int, split: Split, seed:
 
 def _of_own(source: str, category: Category, objects: int, split: Split, seed: int) -> ModelSource:
     make = own_generator(source)
-    return ModelSource([generate(category, index, split, seed, make) for index in range(objects)])
+    models = [generate(category, index, split, seed, make) for index in range(objects)]
+    check_family(source, models, category)
+    return ModelSource(models)
 
 
 KINDS: dict[str, SourceKind] = {

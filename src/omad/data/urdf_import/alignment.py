@@ -56,7 +56,7 @@ def align(labellings: Sequence[RawArticulation], category: Category) -> Aligned:
         models += [(model.mirrored(), True) for model, _ in models if category.either_hand]
         candidates = ((*each, image) for model, image in models for each in _candidates(model, category))
         best, R, _, mirrored = max(candidates, key=lambda candidate: candidate[2])
-    _check(best, category)
+    check_like(best, category)
     # limits within the spec's; the spec's where the object states none
     spec = category.metric_limits
     limits = np.stack([np.fmax(best.limits[:, 0], spec[:, 0]), np.fmin(best.limits[:, 1], spec[:, 1])], 1)
@@ -167,7 +167,9 @@ def _travel(model: ObjectModel, category: Category) -> np.ndarray:
     return np.nan_to_num(np.clip(high - low, 0, None) / (spec[:, 1] - spec[:, 0]), nan=1.0)
 
 
-def _check(model: ObjectModel, category: Category) -> None:
+def check_like(model: ObjectModel, category: Category) -> None:
+    """Raises InputError, without a file's name, for an object in canonical space that is shaped or jointed otherwise
+    than the category's."""
     for (part, field), agreed in _relations(model, category).items():
         if agreed < LEAST_AGREEMENT:
             told = f"its {part} lies elsewhere than the spec's {field} says"
