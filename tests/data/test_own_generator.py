@@ -146,11 +146,7 @@ def test_what_is_wrong_in_one_is_said_in_a_line(text, said, tmp_path):
 
 
 FAMILIES = {
-    "z up": (
-        "tuple(Mesh(mesh.vertices[:, [0, 2, 1]] * [1, -1, 1], mesh.faces) for mesh in made.parts)",
-        "",
-        "reach says",
-    ),
+    "z up": ("tuple(mesh.warped(lambda v: v[:, [0, 2, 1]] * [1, -1, 1]) for mesh in made.parts)", "", "reach says"),
     "the flap first": ("made.parts[::-1]", "", "side says"),
     "turned round": ("made.parts", ", axes=[[-1, 0, 0]]", "180 degrees off the spec's"),
     "far from its hinge": ("made.parts", ", pivots=made.pivots + [0, 50, 0]", "reach says"),
