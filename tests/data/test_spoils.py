@@ -7,11 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 from scipy import ndimage
 
 from helpers.categories import CATEGORIES
 from omad.common.errors import InputError
 from omad.data.procedural import generate
+from omad.data.rendering import view_folder
 from omad.data.rendering.rasteriser import NOTHING, render
 from omad.data.rendering.spoils.depths import blotted, patched, wavy
 from omad.data.rendering.spoils.masks import grown, shifted, with_rim
@@ -33,6 +35,7 @@ from omad.data.rendering.standard_views import MIN_PIXELS, standard_view
 from omad.data.rendering.view_folder import open_views, render_to_folder
 from omad.geometry.camera import STANDARD_CAMERA
 from omad.objects.model import ObjectModel
+from omad.sensing.depth_files import read_depth
 
 NAMES = ("laptop", "eyeglasses", "dishwasher")
 AS_IT_IS = Staging()
@@ -235,6 +238,15 @@ def test_random_spoils_show_the_object_and_repeat() -> None:
     assert np.array_equal(made.view.depth, again.view.depth)
     assert ((made.view.labels != NOTHING) & made.view.mask).sum() >= MIN_PIXELS
     assert len({random_spoil(rng(seed)) for seed in range(30)}) == 30
+
+
+def test_instances_are_nothing_where_a_wall_is_too_far_for_the_file(tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr(view_folder, "depth_scale_of", lambda category: 1.5e-5)  # a metre
+    render_to_folder([model()], CATEGORIES["laptop"], tmp_path, 3, clutter=True)
+    files = sorted(tmp_path.glob("*/*.instances.png"))
+    for file in files:
+        depth = read_depth(file.with_name(file.name.replace("instances", "depth")), 1.0)
+        assert np.array_equal(np.asarray(Image.open(file)) == NOTHING, depth == 0)
 
 
 def test_a_cluttered_folder_holds_the_same_views(tmp_path: Path) -> None:

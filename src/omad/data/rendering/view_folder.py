@@ -42,6 +42,7 @@ from omad.objects.model import ObjectModel
 from omad.sensing.depth_files import read_depth
 
 from .depth_noise import NoiseLevel
+from .rasteriser import NOTHING
 from .spoils.spoiling import cluttered
 from .standard_views import ObjectTruth, View, ViewSeed, standard_view, view_seed
 
@@ -271,7 +272,8 @@ def _make_cluttered(
     file, view = file_of(seed), made.view
     if view.mask is not None:
         write_png(file.with_suffix(".mask.png"), view.mask.astype(np.uint8) * 255)
-    write_png(file.with_suffix(".instances.png"), made.instances)
+    kept = as_stored(view.depth, depth_scale) > 0  # a wall may be too far for the file
+    write_png(file.with_suffix(".instances.png"), np.where(kept, made.instances, np.uint8(NOTHING)))
     _write_view(depth_scale, view, file, camera=_camera_record(view.camera), spoil=asdict(spoil))
 
 
@@ -368,9 +370,10 @@ def write_depth(path: Path, depth: np.ndarray, depth_scale: float) -> np.ndarray
 
 
 def as_stored(depth: np.ndarray, depth_scale: float) -> np.ndarray:
-    """(H, W) uint16 of depth (H, W) metres; what does not fit into 16 bits is 0."""
+    """(H, W) uint16 of depth (H, W) metres; what does not fit into 16 bits, of which the largest number says that there
+    is no measurement, is 0."""
     stored = np.rint(depth / depth_scale)
-    return np.where(stored < 2**16, stored, 0).astype(np.uint16)
+    return np.where(stored < 2**16 - 1, stored, 0).astype(np.uint16)
 
 
 def write_png(path: Path, image: np.ndarray) -> None:
