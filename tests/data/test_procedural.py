@@ -11,7 +11,9 @@ from helpers.travel import deepest_cut, solids, winding
 from omad.common.errors import InputError
 from omad.data.procedural import GENERATORS, generate
 from omad.data.procedural.shapes import box, cylinder, hexahedron, slab
+from omad.data.procedural.vocabulary import Case, Rect, handle
 from omad.geometry.mesh import merge_meshes
+from omad.geometry.rigid import box as box_of
 from omad.objects.category import Category
 from omad.objects.model import ObjectModel
 
@@ -69,6 +71,26 @@ def test_shapes_are_closed_and_face_outwards(solid):
     assert mesh.is_watertight
     assert mesh.is_winding_consistent
     assert mesh.volume > 0
+
+
+@pytest.mark.parametrize("edge", ["top", "bottom", "left", "right"])
+def test_a_handle_lies_near_its_edge(edge):
+    face = Rect(-0.2, 0.3, 0.1, 0.7)
+    for seed in range(12):
+        low, high = box_of(merge_meshes(handle(np.random.default_rng(seed), face, 0.02, edge, 0.4)).vertices)
+        centre = (low + high)[:2] / 2 - face.centre
+        across = {"top": (0, 1), "bottom": (0, -1), "left": (-1, 0), "right": (1, 0)}[edge]
+        assert centre @ across > 0.25 * np.abs(across) @ (face.width, face.height)
+        assert centre @ across[::-1] == pytest.approx(0, abs=1e-9)  # in the middle along it
+        assert high[2] > 0.02
+
+
+def test_what_cannot_be_built_is_said():
+    with pytest.raises(ValueError, match="edge: is 'middle'; give top, bottom"):
+        handle(np.random.default_rng(0), Rect(0, 1, 0, 1), 0.0, "middle")
+    for thick in ((0.06, 0.06, 0.01, 0.01, 0.01), (0.01, 0.01, 0.05, 0.05, 0.01), (0.01, 0.01, 0.01, 0.01, 0.1)):
+        with pytest.raises(ValueError, match="leave no cavity"):
+            Case(0.1, 0.1, 0.1, *thick)
 
 
 def test_a_slab_fills_its_box_and_merging_keeps_volumes():

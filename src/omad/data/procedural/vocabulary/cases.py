@@ -48,7 +48,8 @@ class Rect:
 
 @dataclass(frozen=True)
 class Case:
-    """A body over x = -width / 2 .. width / 2, y = foot .. height, z = -depth .. 0, whose walls are so thick."""
+    """A body over x = -width / 2 .. width / 2, y = foot .. height, z = -depth .. 0, whose walls are so thick. Raises
+    ValueError where they leave no cavity."""
 
     width: float
     height: float
@@ -59,6 +60,10 @@ class Case:
     top: float
     back: float
     foot: float = 0.0
+
+    def __post_init__(self) -> None:
+        if min(self.mouth.width, self.mouth.height, self.depth - self.back) <= 0:
+            raise ValueError("the walls of the case leave no cavity; make them thinner, or the case larger")
 
     @property
     def front(self) -> Rect:

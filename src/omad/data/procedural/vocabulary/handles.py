@@ -7,6 +7,9 @@ from omad.geometry.mesh import Mesh
 from ..shapes import box, cylinder, points, posts, slab, tube
 from .cases import Rect
 
+TURNS = {"top": (1, 0), "bottom": (-1, 0), "right": (0, 1), "left": (0, -1)}
+"""Cosine and sine of the turn, clockwise, that takes a face's top edge there."""
+
 
 def handle_across(rng: np.random.Generator, half: float, low: float, high: float, front: float) -> list[Mesh]:
     """A handle near the upper edge of a face over x = -half .. half, y = low .. high, z = front: a bar on two posts,
@@ -35,12 +38,13 @@ def handle_across(rng: np.random.Generator, half: float, low: float, high: float
 
 
 def handle(rng: np.random.Generator, face: Rect, front: float, edge: str = "top", size: float = 1.0) -> list[Mesh]:
-    """A handle near one ``edge`` of a face, "top", "right" or "left", and along it; ``size`` shrinks it in thickness
-    and reach, not in length."""
-    long, wide = (face.width, face.height) if edge == "top" else (face.height, face.width)
+    """A handle near one ``edge`` of a face, "top", "bottom", "right" or "left", and along it; ``size`` shrinks it in
+    thickness and reach, not in length. Raises ValueError for another edge."""
+    if edge not in TURNS:
+        raise ValueError(f"edge: is {edge!r}; give {', '.join(TURNS)}")
+    long, wide = (face.width, face.height) if edge in ("top", "bottom") else (face.height, face.width)
     made = handle_across(rng, long / 2 / size, 0.0, wide / size, 0.0)
-    turn = {"top": (1, 0), "right": (0, 1), "left": (0, -1)}[edge]
-    (cx, cy), s = face.centre, size
+    turn, (cx, cy), s = TURNS[edge], face.centre, size
 
     def place(vertices: np.ndarray) -> np.ndarray:
         x, y, z = s * vertices.T
