@@ -242,6 +242,8 @@ SLIPS = {
     "sides alone": ('name = "body"\n', 'name = "body"\nsides = [0.2, 0.5]\n', "parts[0].sides"),
     "sides turned": ('name = "body"\n', 'name = "body"\nsides = [[0, 1], [0, 1], [1, 0]]\n', "parts[0].sides"),
     "elevation": ("[0, 90]\n", "[0, 90]\n[views]\nelevation = [10, 100]\n", "views.elevation"),
+    "elevation in radians": ("[0, 90]\n", "[0, 90]\n[views]\nelevation = [0.1, 1.2]\n", "views.elevation"),
+    "azimuth in radians": ("[0, 90]\n", "[0, 90]\n[views]\nazimuth = 3.14\n", "views.azimuth"),
     "azimuth": ("limits = [0, 90]\n", "limits = [0, 90]\n[views]\nazimuth = 270\n", "views.azimuth"),
     "swap": ("metres", 'swap_symmetry = "no"\nmetres', "swap_symmetry"),
     "basis": ("metres", "basis_size = 0\nmetres", "basis_size"),

@@ -69,6 +69,17 @@ class _Views:
     elevation: _Range | None = None
     roll: float | None = None
 
+    def __post_init__(self) -> None:
+        low, high = self.elevation or (0.0, 0.0)
+        if low != high and max(abs(low), abs(high)) <= math.pi / 2:
+            meant = f"[{math.degrees(low):.0f}, {math.degrees(high):.0f}]"
+            raise ValueError(
+                f"elevation: are degrees, and [{low:g}, {high:g}] hardly a range; of radians, give {meant}"
+            )
+        if self.azimuth is not None and 0 < self.azimuth <= math.pi:
+            meant = f"{math.degrees(self.azimuth):.0f}"
+            raise ValueError(f"azimuth: is {self.azimuth:g} degrees, hardly any; of radians, give {meant}")
+
 
 @dataclass(frozen=True)
 class _File:
