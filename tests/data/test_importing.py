@@ -381,3 +381,14 @@ def test_a_model_that_lies_among_upright_ones_is_named():
         assert len(summary.used) == 4
         assert [note.name for note in summary.notes] == ["drop-down"]
         assert "with +z" in summary.notes[0].reason
+
+
+def test_of_a_mirror_image_the_field_that_takes_it_is_named():
+    write_microwaves(Path("ovens"), 3)
+    write_urdf(seen_from_elsewhere(microwave("odd").mirrored(), np.zeros(1)), Path("ovens/odd/odd.urdf"))
+    [note] = import_folder(Path("ovens"), MICROWAVE, Path("out")).notes
+    assert note.name == "odd"
+    assert "either_hand = true" in note.reason
+    [note] = import_folder(Path("ovens"), replace(MICROWAVE, either_hand=True), Path("both")).notes
+    assert "mirror image" in note.reason
+    assert "either_hand" not in note.reason

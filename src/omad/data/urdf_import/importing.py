@@ -115,7 +115,7 @@ def _import_all(
         except InputError as error:
             refused.append(Refusal(name, str(error)))
             record.drop(name)
-    summary = ImportSummary(models, refused, [*notes, *_lying(record.up)])
+    summary = ImportSummary(models, refused, [*notes, *_lying(record.up, category.either_hand)])
     if models or (output / RECORD).is_file():
         record.write(summary.to_dict())
     return summary
@@ -200,12 +200,15 @@ class _Kept:
     up: dict[str, str] = field(default_factory=dict)
 
 
-def _lying(up: dict[str, str]) -> list[Refusal]:
-    """Models that were turned upright from another side than most."""
+def _lying(up: dict[str, str], either_hand: bool) -> list[Refusal]:
+    """Models that were turned upright from another side than most. Where the spec knows of one hand alone, they may be
+    of the other one."""
     usual, count = Counter(up.values()).most_common(1)[0] if up else ("", 0)
     if count < 2 or count <= len(up) / 2:
         return []
     cure = "if it lies on its side, leave it out, or it belongs to another category"
+    if not either_hand:
+        cure += "; if it is the mirror image of the others, say either_hand = true in the spec"
     return [
         Refusal(name, f"stands with its file's {axis} up, the others with {usual}: look at the picture; {cure}")
         for name, axis in up.items()
