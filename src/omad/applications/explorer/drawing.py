@@ -4,7 +4,6 @@ Everything is in the canonical base frame (y up, z to the front), in metres and 
 """
 
 from dataclasses import dataclass, replace
-from typing import Self
 
 import numpy as np
 import torch
@@ -34,10 +33,6 @@ class ObjectState:
     """(J,) radians or metres."""
     of_other_hand: bool = False
     """It is the mirror image of what beta says."""
-
-    def with_joint(self, joint: int, state: float) -> Self:
-        """The same object with one joint moved."""
-        return replace(self, joint_states=_changed(self.joint_states, joint, state))
 
 
 @dataclass(frozen=True)
@@ -113,6 +108,18 @@ class ObjectSpace:
         """The same joints with one number of beta changed."""
         value = float(self._mean[component] + sigmas * self._sigma[component])
         return replace(state, beta=_changed(state.beta, component, value))
+
+    def with_joint(self, state: ObjectState, joint: int, value: float) -> ObjectState:
+        """The same object with one joint moved, no farther than another one lets it; what that one is for is taken
+        along."""
+        states, specs = _changed(state.joint_states, joint, value), self.category.joints
+        held = {joint}
+        for index, spec in enumerate(specs):  # a joint stands after the one that holds it
+            if spec.at_most is not None and held & {index, spec.at_most}:
+                top = states[spec.at_most].clip(*self.limits[index])
+                if states[index] > top:
+                    states[index], held = top, held | {index}
+        return replace(state, joint_states=states)
 
     def draw(self, state: ObjectState) -> Drawing:
         """Keypoints, parts and joint axes of an object."""

@@ -24,6 +24,8 @@ Slider = viser.GuiSliderHandle[float]
 Button = viser.GuiButtonHandle
 LARGEST = 1e4
 """Of a slider's numbers."""
+SAME = 1e-6
+"""Radians or metres."""
 NOWHERE = Places()
 WHOLE_IMAGE, ON_PLANE = "whole image, mask or box", "largest thing on the dominant plane"
 
@@ -111,7 +113,7 @@ class ExplorerPage:
         shown = (joint.low, joint.high, self.state.joint_states[number] / joint.per_unit)
         low, high, value = (round(one, 1) for one in shown)
         slider = self._server.gui.add_slider(f"{joint.name} [{joint.unit}]", low, high, 0.1, value)
-        return self._moves(slider, lambda state, shown: state.with_joint(number, shown * joint.per_unit))
+        return self._moves(slider, lambda state, shown: self.space.with_joint(state, number, shown * joint.per_unit))
 
     def _sigma_slider(self, number: int) -> Slider:
         slider = self._server.gui.add_slider(f"beta {number + 1} [σ]", -SIGMAS, SIGMAS, 0.01, 0.0)
@@ -127,10 +129,17 @@ class ExplorerPage:
             with self._lock:
                 self.state = change(self.state, float(value))
                 self._stale = True
+                self._follow()
             self._redraw()
 
         slider.on_update(moved)
         return slider
+
+    def _follow(self) -> None:
+        """Sliders of joints that were held by another one, or taken along, to where they are."""
+        for slider, state, joint in zip(self.joints, self.state.joint_states, self.space.joint_ranges, strict=True):
+            if abs(slider.value * joint.per_unit - state) > SAME:
+                slider.value = state / joint.per_unit
 
     def _on_click(self, label: str, act: Callable[[], None], hint: str, colour: Colour = "blue") -> Button:
         button = self._server.gui.add_button(label, hint=hint, color=colour)
