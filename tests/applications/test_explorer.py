@@ -17,6 +17,7 @@ from PIL import Image
 from helpers.categories import CATEGORIES
 from helpers.command_line import K, laptop_view, refused, save_png
 from helpers.headless_browser import PROGRAM, HeadlessBrowser
+from omad.applications.explorer import fitting
 from omad.applications.explorer.drawing import ObjectSpace
 from omad.applications.explorer.fitting import FitRequest, describe_fit, fit_demo, fit_file
 from omad.applications.explorer.places import Places
@@ -80,10 +81,21 @@ def test_a_joint_moves_what_hangs_on_it(name):
     before = objects.draw(state)
     for joint, reach in enumerate(objects.limits):
         far = reach[np.abs(reach - state.joint_states[joint]).argmax()]
-        after = objects.draw(state.with_joint(joint, far))
+        after = objects.draw(objects.with_joint(state, joint, far))
         moved = np.linalg.norm(after.keypoints - before.keypoints, axis=1) > 1e-6
         carried = [joint in category.tree.path(part) for part in range(len(category.parts))]
         assert {k: bool(moved[part_of == k].any()) for k in range(len(carried))} == dict(enumerate(carried))
+
+
+def test_a_joint_is_held_by_the_one_that_it_must_not_exceed():
+    objects = space("stapler")  # its magazine would go through the base
+    open_, both = objects.with_joint(objects.mean(), 0, 1.0), objects.with_joint(objects.mean(), 1, 0.5)
+    assert open_.joint_states == pytest.approx([1.0, 0.0])
+    assert both.joint_states == pytest.approx([0.0, 0.0])
+    within = objects.with_joint(open_, 1, 0.7)
+    assert within.joint_states == pytest.approx([1.0, 0.7])
+    assert objects.with_joint(within, 1, 1.4).joint_states == pytest.approx([1.0, 1.0])
+    assert objects.with_joint(within, 0, 0.4).joint_states == pytest.approx([0.4, 0.4])
 
 
 @pytest.mark.parametrize("name", SHIPPED)
@@ -141,6 +153,12 @@ def test_bad_options_are_refused(capsys, monkeypatch, tmp_path):
     assert "--components" in refused(capsys, "explore", "laptop", "--components", "0")
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     assert "omad[explore]" in refused(capsys, "explore", "laptop")
+
+
+def test_of_a_category_without_a_generator_a_file_is_asked_for(monkeypatch):
+    monkeypatch.setattr(fitting, "GENERATORS", ())
+    with pytest.raises(InputError, match="makes none of laptop; give a file to fit"):
+        fit_demo(estimator("laptop"), 0)
 
 
 def test_a_port_in_use_is_refused():

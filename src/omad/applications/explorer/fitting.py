@@ -8,7 +8,7 @@ from typing import Self
 import numpy as np
 
 from omad.common.errors import InputError, shown
-from omad.data.procedural import generate
+from omad.data.procedural import GENERATORS, generate
 from omad.data.rendering.standard_views import standard_view
 from omad.estimation.estimate import Estimate
 from omad.estimation.estimator import Estimator
@@ -78,6 +78,9 @@ def fit_file(estimator: Estimator, request: FitRequest) -> Fit:
 
 def fit_demo(estimator: Estimator, seed: int) -> Fit:
     """A procedural object that no training has seen, from a random view. Raises InputError without a generator."""
+    name = estimator.category.name
+    if name not in GENERATORS:
+        raise InputError(f"no unseen object to show: the package makes none of {name}; give a file to fit")
     model = generate(estimator.category, seed, "test")
     observation = standard_view(model, estimator.category, (seed, 1000)).observation()
     return Fit.of(model.name, observation, estimator(observation))
