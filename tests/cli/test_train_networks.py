@@ -50,6 +50,11 @@ def test_a_word_that_is_a_category_and_a_folder_is_refused(monkeypatch, tmp_path
     assert asked[0]["initial"].backbone.config == BACKBONES["fine"]
 
 
+def test_a_category_without_weights_names_the_option_that_brings_them(capsys):
+    assert run(["eval", "pose", "--category", "my_microwave"]) == 2
+    assert "give a checkpoint folder (--weights)" in capsys.readouterr().err
+
+
 @pytest.mark.slow
 def test_a_training_that_diverges_fails_in_one_line(capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

@@ -147,7 +147,7 @@ def find_weights(name: str | Path) -> Path:
         raise InputError(f"{name}: no such folder; give the folder that a training wrote")
     known = ", ".join(shipped_categories()) or "none"
     raise InputError(
-        f"no weights for {str(name)!r}: give a checkpoint folder or a category with weights ({known}; "
+        f"no weights for {str(name)!r}: give a checkpoint folder (--weights) or a category with weights ({known}; "
         "pip install 'omad[categories]' brings all that there are)"
     )
 
