@@ -24,15 +24,15 @@ DATA = Path(__file__).parents[1] / "golden"
 # Of answers that are not passed over:
 # mean joint state error (degrees, or category units), mean axis error in degrees, mean axis distance in category units
 LIMITS = {
-    "cabinet_one_door": (1.7, 1.0, 0.026),
+    "cabinet_one_door": (1.4, 0.85, 0.024),
     "cabinet_two_doors": (3.4, 1.5, 0.024),
-    "desk_lamp": (3.6, 1.4, 0.027),
+    "desk_lamp": (2.9, 1.25, 0.024),
     "dishwasher": (2.1, 0.85, 0.05),
     "drawer": (0.055, 1.0, None),
     "drawer_1": (0.046, 1.4, None),
     "drawer_2": (0.048, 1.3, None),
-    "drawer_4": (0.065, 1.2, None),
-    "drawer_5": (0.08, 1.1, None),
+    "drawer_4": (0.055, 0.8, None),
+    "drawer_5": (0.061, 0.95, None),
     "eyeglasses": (2.9, 2.6, 0.018),
     "laptop": (1.2, 0.7, 0.025),
     "lidded_box": (2.1, 1.5, 0.031),
@@ -40,24 +40,22 @@ LIMITS = {
     "oven": (3.2, 1.4, 0.046),
     "pliers": (1.9, 0.9, 0.019),
     "refrigerator": (1.9, 1.1, 0.023),
-    "refrigerator_two_doors": (3.1, 1.1, 0.018),
+    "refrigerator_two_doors": (2.4, 0.75, 0.014),
     "safe": (2.0, 1.1, 0.034),
     "scissors": (3.4, 1.6, 0.015),
-    "stapler": (2.5, 1.1, 0.075),
+    "stapler": (2.2, 0.95, 0.068),
     "suitcase": (3.2, 1.0, 0.026),
     "trash_can": (2.5, 3.2, 0.041),
     "washing_machine": (2.3, 1.4, 0.028),
 }
-PASSED_OVER = {
-    "cabinet_one_door": 13,
-    "cabinet_two_doors": 2,
-    "desk_lamp": 9,
-    "drawer_5": 2,
-}
+PASSED_OVER = {"cabinet_one_door": 9, "desk_lamp": 4, "drawer_5": 5}
 """Of 24 answers, at most so many are doubtful, or take the object for one of the other hand; 1 of other categories. Of
-cabinets with one door there are 200, as two shut doors among 24 decide how far axes are off, 48 of staplers, whose
-magazine has no visible hinge, and of desk lamps, whose head is small, and 40 of suitcases, one of which is 40 degrees
-off without being doubtful."""
+these at most ``DOUBTED_IN_VAIN`` are right. Of cabinets with one door there are 200, as two shut doors among 24 decide
+how far axes are off, 48 of staplers, whose magazine has no visible hinge, and of desk lamps, whose head is small, and
+40 of suitcases, one of which is 40 degrees off without being doubtful."""
+DOUBTED_IN_VAIN = {"cabinet_one_door": 4}
+RIGHT = 10, 0.1
+"""Errors in degrees and category units of joint states up to which an answer is right."""
 
 
 @pytest.fixture(scope="module", params=sorted(CATEGORIES))
@@ -75,13 +73,17 @@ def test_errors_stay_below_the_stated_ones(name):
         data = dict(file)
     observations = [Observation.from_points(points * 2e-4) for points in data["points"]]
     estimates = estimator(observations)
-    found = []
+    found, in_vain = [], 0
     for i, estimate in enumerate(estimates):
-        if estimate.doubtful or estimate.of_other_hand:
-            continue
         truth = ObjectPose(data["states"][i], data["axes"][i], data["pivots"][i], data["T_camera_part"][i])
-        found.append(pose_errors(estimate.pose(), truth, data["part_boxes"][i], category))
+        errors = pose_errors(estimate.pose(), truth, data["part_boxes"][i], category)
+        if not (estimate.doubtful or estimate.of_other_hand):
+            found.append(errors)
+        elif not estimate.of_other_hand:
+            off = np.array(errors.joint_state)
+            in_vain += bool(np.where(revolute, np.degrees(off) < RIGHT[0], off / unit < RIGHT[1]).all())
     assert len(found) >= len(estimates) - PASSED_OVER.get(name, 1)
+    assert in_vain <= DOUBTED_IN_VAIN.get(name, 1)
     state = np.array([e.joint_state for e in found])
     axis = np.degrees([e.axis for e in found])
     distance = np.array([e.axis_distance for e in found]) / unit
