@@ -19,7 +19,6 @@ from tyro.conf import OmitArgPrefixes
 import omad
 from omad.common.errors import InputError, named
 from omad.common.files import replacing, write_json
-from omad.common.incoming import read_json
 from omad.common.lazy import lazy_imports
 from omad.sensing.input_options import FrameOptions, InputOptions
 
@@ -30,6 +29,7 @@ with lazy_imports():
     from omad.applications.detection import picture as detection_picture
     from omad.applications.detection.detector import Detector, called
     from omad.applications.solver import Found, Solver
+    from omad.common.incoming import read_json
     from omad.estimation import world
     from omad.estimation.categories.late import AnyEstimator, LateEstimator, shipped_estimators
     from omad.estimation.categories.ranking import Ranking
