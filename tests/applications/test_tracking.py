@@ -227,3 +227,16 @@ def test_a_person_reads_degrees_and_centimetres():
     error = {"mean": 0.1, "p95": 0.2, "jitter": 0.1}
     longer = track_text(answer | {"errors": 2 * [{"tracked": error, "single": error | {"mean": 0.2}}]})
     assert ["hinge", "28.6°", "0.0°", "-", "5.7°", "11.5°"] in [line.split() for line in longer.splitlines()]
+
+
+def test_a_track_leaves_no_files_of_an_earlier_one(folder, capsys):
+    output = Path("omad-track")
+    assert run(["track", str(folder), "--most", "2", "--gif", "--formats", "ply", *GIVEN]) == 0
+    more = [output / name for name in ("track.gif", "last/object.ply", "last/part-screen.ply")]
+    mine = output / "last" / "notes.txt"
+    mine.touch()
+    assert all(file.is_file() for file in more)
+    assert run(["track", str(folder), "--most", "1", *GIVEN]) == 0
+    assert mine.is_file()
+    assert not [file for file in more if file.exists()]
+    assert (output / "track.html").is_file()

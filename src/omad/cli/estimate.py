@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import glob
 import os
-import re
 import sys
 import time
 from collections.abc import Callable, Iterable, Sequence
@@ -36,7 +34,7 @@ with lazy_imports():
     from omad.estimation.estimate import chance
     from omad.objects.category import Category
     from omad.output import picture
-    from omad.output.formats import check_formats, save_formats
+    from omad.output.formats import check_formats, files_of_answer, save_formats
     from omad.output.page import save_html
     from omad.sensing.camera_files import read_transform
     from omad.sensing.reader import InputReader, input_files, parse_numbers
@@ -49,27 +47,6 @@ AUTO = "auto"
 NEAR = 0.2
 """A category with this probability is named beside the likeliest one."""
 ESTIMATE = "estimate.json"
-OF_AN_ANSWER = (
-    "object.urdf",
-    "state.json",
-    "estimate.png",
-    "estimate.html",
-    "robot.urdf",
-    "robot.xml",
-    "robot.usda",
-    "robot-joints.json",
-    "object.ply",
-    "object.glb",
-    "ros.json",
-    "object.rrd",
-)
-OF_A_PART = (
-    "part-{}.ply",
-    "meshes/object-[0-9]*-{}.obj",
-    "meshes/robot-[0-9]*-{}.obj",
-    "meshes/robot-[0-9]*-{}-body-[0-9]*.obj",
-)
-"""Files of a folder of results that an answer may have or not, and by patterns those of a part."""
 DOUBTFUL = 1
 """Exit code of --strict."""
 
@@ -369,9 +346,7 @@ def _earlier(folder: Path) -> list[Path]:
         parts = [str(part["name"]) for part in read_json(folder / ESTIMATE, "")["parts"]]
     except (InputError, LookupError, TypeError):  # none of ours
         return []
-    names = {re.sub(r"[^\w-]", "_", name) for name in parts} | {name for name in parts if Path(name).name == name}
-    of_parts = [pattern.format(glob.escape(name)) for name in names for pattern in OF_A_PART]
-    return [file for pattern in (*OF_AN_ANSWER, *of_parts) for file in folder.glob(pattern)]
+    return files_of_answer(folder, parts)
 
 
 def _folder_names(files: Sequence[Path]) -> list[str]:

@@ -9,6 +9,7 @@ from typing import Any, Literal
 from tyro.conf import OmitArgPrefixes, Positional
 
 from omad.common.errors import InputError
+from omad.common.files import replacing
 from omad.common.lazy import lazy_imports
 from omad.sensing.input_options import FrameOptions, InputOptions
 
@@ -23,7 +24,7 @@ with lazy_imports():
     from omad.applications.tracking.pictures import Film
     from omad.applications.tracking.places import CameraPlaces
     from omad.applications.tracking.recorder import Recorder
-    from omad.applications.tracking.sequence import TrackedSequence
+    from omad.applications.tracking.sequence import TrackedSequence, earlier_track
     from omad.applications.tracking.streams import FrameReader, recorded, taken
     from omad.applications.tracking.tracker import Tracker, TrackerConfig
     from omad.common.runtime import keep_freed_memory
@@ -114,16 +115,18 @@ class Track(CategoryCommand):
             tracker, reader, self.output, places, self.gravity, tuple(name for name in self.formats if name != "rrd"),
             Film() if self.gif else None, self._recorder(), stream,
         )  # fmt: skip
-        try:
-            sequence.follow(frames)
-        except KeyboardInterrupt:
-            if self.camera is None:
-                raise
-            print("omad: ended", file=sys.stderr)
-        finally:
-            sequence.close()
+        with replacing(earlier_track(self.output)):
+            try:
+                sequence.follow(frames)
+            except KeyboardInterrupt:
+                if self.camera is None:
+                    raise
+                print("omad: ended", file=sys.stderr)
+            finally:
+                sequence.close()
+            summary = sequence.finish(truth)
         code = 2 if sequence.refused else 0 if any(one.status == "tracking" for one in sequence.tracked) else 1
-        return Answer(sequence.finish(truth), as_json if stream else track_text, code)
+        return Answer(summary, as_json if stream else track_text, code)
 
     def _frames(self, stream: bool) -> Iterable[Any]:
         """Raises InputError where there are none."""

@@ -1,6 +1,8 @@
 """All formats by their names, as the command line asks for them. A new one is a file and an entry here."""
 
-from collections.abc import Callable, Sequence
+import glob
+import re
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from importlib.util import find_spec
@@ -51,6 +53,28 @@ FORMATS: dict[str, Callable[[Export, Path], object]] = {
 NEED = {"mjcf": ("mujoco", "mujoco"), "usd": ("pxr", "usd"), "rrd": ("rerun", "rerun")}
 """Of formats that another package writes, its name and the extra's."""
 
+OF_AN_ANSWER = (
+    "object.urdf",
+    "state.json",
+    "estimate.png",
+    "estimate.html",
+    "robot.urdf",
+    "robot.xml",
+    "robot.usda",
+    "robot-joints.json",
+    "object.ply",
+    "object.glb",
+    "ros.json",
+    "object.rrd",
+)
+OF_A_PART = (
+    "part-{}.ply",
+    "meshes/object-[0-9]*-{}.obj",
+    "meshes/robot-[0-9]*-{}.obj",
+    "meshes/robot-[0-9]*-{}-body-[0-9]*.obj",
+)
+"""Files of a folder of results that an answer may have or not, and by patterns those of a part."""
+
 
 def check_formats(names: Sequence[str]) -> None:
     """Raises InputError for a name that is not in ``FORMATS``, and for a format whose package is not installed."""
@@ -75,3 +99,11 @@ def save_formats(
     export = Export(estimate, observation, Frame.of(T_world_camera))
     for name in formats:
         FORMATS[name](export, Path(folder))
+
+
+def files_of_answer(folder: Path, parts: Iterable[str]) -> list[Path]:
+    """Those of an answer's files that lie in ``folder``, given the names of its object's parts."""
+    parts = list(parts)
+    names = {re.sub(r"[^\w-]", "_", name) for name in parts} | {name for name in parts if Path(name).name == name}
+    of_parts = [pattern.format(glob.escape(name)) for name in names for pattern in OF_A_PART]
+    return [file for pattern in (*OF_AN_ANSWER, *of_parts) for file in folder.glob(pattern)]

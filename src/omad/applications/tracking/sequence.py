@@ -16,10 +16,11 @@ import numpy as np
 from omad.common.batches import progress
 from omad.common.errors import InputError, NothingSeen, WorkError
 from omad.common.files import one_line, publish, unfinished, write_atomic, write_json, writing
+from omad.common.incoming import read_json
 from omad.estimation.estimate import plain
 from omad.estimation.world import in_world, known_gravity
 from omad.objects.category import Category
-from omad.output.formats import save_formats
+from omad.output.formats import files_of_answer, save_formats
 from omad.output.picture import save
 from omad.sensing.observation import Observation
 
@@ -31,6 +32,10 @@ from .recorder import Recorder
 from .tracker import TrackedEstimate, Tracker
 
 FRAMES = "frames.jsonl"
+SUMMARY = "summary.json"
+LAST = "last"
+OF_A_TRACK = (FRAMES, "states.csv", "states.png", "track.html", "track.gif", "track.rrd")
+"""Files of a track beside its summary; some tracks have all of them."""
 
 
 @dataclass
@@ -144,16 +149,17 @@ class TrackedSequence:
         seconds = float(np.median(self.seconds)) if self.seconds else None
         summary = {"category": category.name, "output": str(folder), **summarise(category, self.tracked, true)}
         summary |= {"seconds_per_frame": seconds, "beta": self.tracker.shape.mean.tolist(), "refused": self.refused}
+        summary["parts"] = [part.name for part in category.parts]
         if self.tracked:
             save(states_over_time(category, self.tracked, true), folder / "states.png")
             write_atomic(folder / "states.csv", lambda path: self._table(path, category))
         self.page.save(folder / "track.html", f"{category.name}: {len(self.tracked)} frames")
         if self.last is not None and self.last[1].estimate is not None:
-            save_formats(self.last[1].estimate, self.last[0], folder / "last", self.formats)
+            save_formats(self.last[1].estimate, self.last[0], folder / LAST, self.formats)
         if (film := self.film) is not None and film.pictures:
             lasting = self.tracked[-1].time - self.tracked[0].time
             write_atomic(folder / "track.gif", lambda path: film.save(path, lasting))
-        write_json(folder / "summary.json", summary, indent=1)
+        write_json(folder / SUMMARY, summary, indent=1)
         return summary
 
     def _table(self, path: Path, category: Category) -> None:
@@ -171,6 +177,15 @@ class TrackedSequence:
                     row.append(f"{one.single.joints[j].state:.6f}" if one.single else "")
                 sure = one.estimate and one.estimate.probability
                 writer.writerow([*row, "" if sure is None else f"{sure:.3f}"])
+
+
+def earlier_track(folder: Path) -> list[Path]:
+    """Where an earlier track lies in ``folder``, its files but the summary."""
+    try:
+        parts = [str(name) for name in read_json(folder / SUMMARY, "")["parts"]]
+    except (InputError, LookupError, TypeError):  # none of ours
+        return []
+    return [folder / name for name in OF_A_TRACK] + files_of_answer(folder / LAST, parts)
 
 
 def summarise(category: Category, tracked: Sequence[TrackedEstimate], truth: Truth | None = None) -> dict[str, Any]:
