@@ -133,8 +133,9 @@ def _within(outline, axes, points, index):
         x, y, z = points[0, index[i]], points[1, index[i]], points[2, index[i]]
         across = axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z
         along = axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z
-        for k in range(len(outline)):
-            if DIRECTIONS[k, 0] * across + DIRECTIONS[k, 1] * along > outline[k]:
+        for k in range(8):
+            reach = DIRECTIONS[k, 0] * across + DIRECTIONS[k, 1] * along
+            if reach > outline[k] or -reach > outline[k + 8]:  # that of the opposite direction
                 inside[i] = False
                 break
     return inside
