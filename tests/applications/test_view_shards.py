@@ -85,6 +85,8 @@ def test_what_is_not_whole_or_of_another_kind_is_refused(tmp_path):
     rendered(tmp_path)
     with pytest.raises(InputError, match="views of laptop, not of scissors"):
         loaded(tmp_path, name="scissors")
+    with pytest.raises(InputError, match="leave out --broken skip"):
+        load_views(str(tmp_path), CATEGORY, 1, 1, 0, "off", "skip")
     run, last = tmp_path / RUN, tmp_path / part_name(2)
     kept, record = last.read_bytes(), json.loads(run.read_text())
     last.unlink()

@@ -176,12 +176,18 @@ def test_broken_folders_are_named(models: list[ObjectModel], tmp_path: Path) -> 
         render_to_folder([models[0], models[0]], CATEGORY, tmp_path, 2)
     with pytest.raises(InputError, match=r"\.\./out"):
         render_to_folder([replace(models[0], name="../out")], CATEGORY, tmp_path, 2)
-    render_to_folder(models[:1], CATEGORY, tmp_path, 1)
+    render_to_folder(models, CATEGORY, tmp_path, 3)
     depth = tmp_path / models[0].name / "00000.depth.png"
     whole = depth.read_bytes()
     depth.write_bytes(whole[: len(whole) // 2])
     with pytest.raises(InputError, match=r"00000\.depth\.png"):
         list(open_views(tmp_path))
+    (tmp_path / models[1].name / "object.json").write_text("{")
+    rest = open_views(tmp_path, broken="skip")
+    assert [view.object for view in rest] == [models[2].name]
+    assert [left["name"] for left in rest.left_out] == [models[1].name, f"{models[0].name}/00000"]
+    assert "00000.depth.png: not readable" in rest.left_out[1]["reason"]
+    assert not [*rest.after(1)]
     record = json.loads((tmp_path / "dataset.json").read_text())
     (tmp_path / "dataset.json").write_text(json.dumps({**record, "format": "else"}))
     with pytest.raises(InputError, match="format"):

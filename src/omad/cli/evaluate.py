@@ -20,6 +20,7 @@ from omad.common.user_cache import kept_at
 
 from .answer import Answer, table
 from .options import (
+    BrokenFiles,
     CategoryCommand,
     Cluster,
     Device,
@@ -192,9 +193,10 @@ class SpoiltViews(Models):
     layout with depth frames of your own; of images, rows that need another viewpoint or camera are left out."""
     views: int = 60
     """Of each row, dealt out to the objects; of images, evenly over all of them."""
+    broken: BrokenFiles = "refuse"
 
     def views_of(self, category: Category) -> ViewSource:
-        return load_views(self.source, category, self.objects, self.views, self.seed, "off", "refuse")
+        return load_views(self.source, category, self.objects, self.views, self.seed, "off", self.broken)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -109,10 +109,10 @@ class FigureSweep(_Drawing):
         joints, shapes = [], []
         for _, estimator in self.estimators():
             category, prior = estimator.category, estimator.net.prior
-            result = evaluate(estimator, data.spread(category).views)[0]
-            if result.estimate is None:
+            results = evaluate(estimator, data.spread(category).views)
+            if not results or results[0].estimate is None:
                 raise InputError(f"{self.source}: the first view shows too little of a {category.name}; try --seed")
-            joints.append(sweep.joint_sweep(result.view, result.estimate, self.steps))
+            joints.append(sweep.joint_sweep(results[0].view, results[0].estimate, self.steps))
             count = min(self.directions, prior.basis_size)
             shapes.append(sweep.shape_sweep(prior, category, count, estimator.surfaces))
         pictures = {"sweep-joints": sweep.draw_joints(joints), "sweep-shapes": sweep.draw_shapes(shapes)}

@@ -52,7 +52,7 @@ ToSurface = Annotated[bool, tyro.conf.arg(help=_TO_SURFACE)]
 Split = Annotated[Literal["train", "test"], tyro.conf.arg(help="test: objects that no training has seen.")]
 _NOISE = "How much of a stereo camera's noise is simulated; folders of images have their own."
 DepthNoise = Annotated[Literal["off", "half", "on", "double"], tyro.conf.arg(help=_NOISE)]
-_BROKEN = "Broken files of an ArtImage root: refuse the root, or skip what they belong to and list it."
+_BROKEN = "Broken files of an ArtImage root or a rendered folder: refuse it, or skip what they belong to and list it."
 BrokenFiles = Annotated[Literal["refuse", "skip"], tyro.conf.arg(help=_BROKEN)]
 
 

@@ -15,7 +15,8 @@ from omad.common.errors import InputError
 from omad.objects.category import Category
 from omad.objects.model import ObjectModel, SampledObject
 
-from .artimage import Broken, is_artimage, open_artimage
+from .artimage import is_artimage, open_artimage
+from .broken import Broken
 from .procedural import generate
 from .procedural.own import SUFFIX, check_family, own_generator
 from .rendering.depth_noise import LEVELS
@@ -111,13 +112,19 @@ def _artimage_images(source: str, category: Category, broken: Broken, skip: int)
 
 
 def _rendered_images(source: str, category: Category, broken: Broken, skip: int) -> ViewSource:
-    rendered = open_views(source)
+    rendered = open_views(source, broken)
     if rendered.category != category.name:
         raise InputError(f"{source}: views of {rendered.category}, not of {category.name}")
-    return ViewSource(rendered.after(skip), len(rendered), rendered.noise is not None or rendered.clutter)
+    return ViewSource(
+        rendered.after(skip), len(rendered), rendered.noise is not None or rendered.clutter, rendered.left_out
+    )
 
 
 def _images_in_shards(source: str, category: Category, broken: Broken, skip: int) -> ViewSource:
+    if broken == "skip":
+        raise InputError(
+            f"{source}: views in shards are all counted; leave out --broken skip, render broken ones again"
+        )
     shards = open_view_shards(source, category)
     return ViewSource(shards.after(skip), len(shards), shards.noisy)
 

@@ -1,11 +1,9 @@
 """Images of an ArtImage download, as views with their truth."""
 
-import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import numpy as np
 
@@ -17,14 +15,12 @@ from omad.objects.category import Category
 from omad.sensing.camera_files import read_intrinsics
 from omad.sensing.depth_files import read_image
 
+from ..broken import Broken, passing_over
 from ..rendering.rasteriser import NOTHING
 from ..rendering.standard_views import View
 from .annotations import Annotation, read_annotation
 from .layout import AGAIN, SPLITS, Layout, Split, depth_step, peculiarities
 from .objects import ArtImageObject, read_object, read_rest_states
-
-Broken = Literal["refuse", "skip"]
-"""What to do about broken files: stop at the first, or leave out what they belong to and list it."""
 
 
 @dataclass(frozen=True)
@@ -54,12 +50,12 @@ class ArtImage:
     def __iter__(self) -> Iterator[View]:
         whole = []
         for annotation in self.annotations:  # what is missing is known before the work begins
-            with _passing_over(self.broken, self.left_out, annotation.path.name):
+            with passing_over(self.broken, self.left_out, annotation.path.name):
                 _check_there(annotation.depth, annotation.mask)
                 whole.append(annotation)
         for annotation in whole:
             view = None
-            with _passing_over(self.broken, self.left_out, annotation.path.name):
+            with passing_over(self.broken, self.left_out, annotation.path.name):
                 view = self.view(annotation)
             if view is not None:
                 yield view
@@ -108,7 +104,7 @@ def open_artimage(root: Path | str, category: Category, split: Split, broken: Br
     train, test = (_listed(layout, split) for split in SPLITS)
     found: dict[str, Annotation] = {}
     for name in dict.fromkeys(train + test):
-        with _passing_over(broken, left_out, name):
+        with passing_over(broken, left_out, name):
             found[name] = read_annotation(layout, name, len(category.parts))
     # test objects are the authors', and those whose images only the test list names
     trained = {found[name].object for name in train if name in found}
@@ -116,7 +112,7 @@ def open_artimage(root: Path | str, category: Category, split: Split, broken: Br
     chosen = [each for each in found.values() if (each.object in tested) == (split == "test")]
     objects: dict[str, ArtImageObject] = {}
     for name in dict.fromkeys(annotation.object for annotation in chosen):
-        with _passing_over(broken, left_out, name):
+        with passing_over(broken, left_out, name):
             objects[name] = read_object(layout, name, rest_states, category)
     chosen = tuple(annotation for annotation in chosen if annotation.object in objects)
     if not chosen:
@@ -150,17 +146,3 @@ def _check_there(*paths: Path) -> None:
     for path in paths:
         if not path.is_file():
             raise InputError(f"{path}: missing; download it again, or take it off the list")
-
-
-@contextmanager
-def _passing_over(broken: Broken, left_out: list[dict[str, str]], name: str) -> Iterator[None]:
-    """Whether an InputError inside ends the work or is noted down."""
-    try:
-        yield
-    except InputError as error:
-        if broken == "refuse":
-            raise InputError(f"{error} (or leave out what is broken with --broken skip)") from error
-        entry = {"name": name, "reason": str(error)}
-        if entry not in left_out:  # images may be read more than once
-            print(f"left out {name}: {error}", file=sys.stderr)
-            left_out.append(entry)

@@ -19,8 +19,9 @@ Every file depends on the arguments alone: not on the number of processes, nor o
 
 import json
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from functools import partial
+from itertools import islice
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -41,6 +42,7 @@ from omad.objects.category import Category
 from omad.objects.model import ObjectModel
 from omad.sensing.depth_files import read_depth
 
+from ..broken import Broken, passing_over
 from .depth_noise import NoiseLevel
 from .rasteriser import NOTHING
 from .spoils.spoiling import cluttered
@@ -51,7 +53,6 @@ REACH = 11.0
 """No standard view of an object is farther than this, in category units."""
 UNIT = 1e-3
 """By which the length of an axis may differ from one."""
-
 
 CURE = "give a folder made by omad render"
 _PerJoint = Annotated[np.ndarray, Shape(None, 3)]
@@ -92,9 +93,9 @@ class _ObjectRecord:
     def __post_init__(self) -> None:
         if not (np.abs(np.linalg.norm(self.axes, axis=-1) - 1) < UNIT).all():
             raise ValueError("axes: are no unit vectors; give directions of length one")
-        for field, ranges in (("limits", self.limits), ("part_boxes", self.part_boxes)):
+        for key, ranges in (("limits", self.limits), ("part_boxes", self.part_boxes)):
             if not (ranges[:, 0] <= ranges[:, 1]).all():
-                raise ValueError(f"{field}: are the wrong way round; give the least first")
+                raise ValueError(f"{key}: are the wrong way round; give the least first")
 
 
 @dataclass(frozen=True)
@@ -137,6 +138,9 @@ class ViewFolder:
     objects: tuple[str, ...]
     views: int
     clutter: bool = False
+    broken: Broken = "refuse"
+    left_out: list[dict[str, str]] = field(default_factory=list)
+    """{"name": of the view or object, "reason": one line}; grows while views are read."""
 
     def __len__(self) -> int:
         return self.views
@@ -145,11 +149,24 @@ class ViewFolder:
         return self.after(0)
 
     def after(self, skip: int) -> Iterator[View]:
-        """Without the first so many, which are not read."""
-        truths = [_read_truth(self.path / name) for name in self.objects[: self.views]]
-        for index in range(skip, self.views):
-            seed = view_seed(index, len(self.objects), self.seed)
-            yield self._read(truths[seed[1]], seed)
+        """Without the first so many, which are not read where none may be broken."""
+        if self.broken == "refuse":
+            return self._whole(skip)
+        return islice(self._whole(0), skip, None)
+
+    def _whole(self, first: int) -> Iterator[View]:
+        truths: dict[int, ObjectTruth] = {}
+        for number, name in enumerate(self.objects[: self.views]):
+            with passing_over(self.broken, self.left_out, name):
+                truths[number] = _read_truth(self.path / name)
+        for index in range(first, self.views):
+            seed, view = view_seed(index, len(self.objects), self.seed), None
+            if (truth := truths.get(seed[1])) is None:
+                continue
+            with passing_over(self.broken, self.left_out, f"{truth.name}/{seed[2]:05d}"):
+                view = self._read(truth, seed)
+            if view is not None:
+                yield view
 
     def _read(self, truth: ObjectTruth, seed: ViewSeed) -> View:
         stem = self.path / truth.name / f"{seed[2]:05d}"
@@ -173,8 +190,10 @@ def is_view_folder(folder: str | Path) -> bool:
     return is_file(Path(folder) / "dataset.json")
 
 
-def open_views(folder: str | Path) -> ViewFolder:
-    """A folder that ``render_to_folder`` made. Raises InputError where it is none, or is not finished."""
+def open_views(folder: str | Path, broken: Broken = "refuse") -> ViewFolder:
+    """A folder that ``render_to_folder`` made. Raises InputError where it is none, or is not finished; while its views
+    are read, at the first broken file, or with ``broken="skip"`` leaves out the view or the object that it belongs to,
+    says so on stderr, and lists it."""
     path = Path(folder)
     values = read_json(path / "dataset.json", CURE)
     found = values.get("format") if isinstance(values, dict) else None
@@ -186,8 +205,8 @@ def open_views(folder: str | Path) -> ViewFolder:
     for name in record.objects:
         if Path(name).name != name or "\0" in name:
             raise InputError(f"{path / 'dataset.json'}: objects: {name!r} is no folder's name; {CURE}")
-    made = {field.name: getattr(record, field.name) for field in fields(ViewFolder) if field.name != "path"}
-    return ViewFolder(path, **made)
+    made = {each.name: getattr(record, each.name) for each in fields(ViewFolder) if hasattr(record, each.name)}
+    return ViewFolder(path, **made, broken=broken)
 
 
 def render_to_folder(

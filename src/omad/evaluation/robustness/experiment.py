@@ -67,7 +67,7 @@ def scenes_from(source: ViewSource, category: Category, seed: int) -> Scenes:
 
         return draw
     views = [replace(view, seed=(seed, index)) for index, view in enumerate(source.views)]
-    return lambda index, staging: scene_of(views[index], category, staging)
+    return lambda index, staging: scene_of(views[index], category, staging) if index < len(views) else None
 
 
 def measure(
