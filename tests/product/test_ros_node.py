@@ -98,6 +98,25 @@ def test_perception_follows_messages(store, with_mask):
     assert abs(perception(depth, info, mask).joint_states[0] - laptop_view().states[0]) < 0.1
 
 
+class Synchronizer:
+    """Like message_filters': of each topic it keeps the newest, and passes on those of one moment."""
+
+    def __init__(self, topics: list, queue: int, apart: float) -> None:
+        self.waiting: list[dict] = [{} for _ in topics]
+        self.queue, self.apart = queue, apart
+
+    def registerCallback(self, callback) -> None:
+        self.callback = callback
+
+    def add(self, topic: int, taken: float, message) -> None:
+        self.waiting[topic][taken] = message
+        if len(self.waiting[topic]) > self.queue:
+            del self.waiting[topic][min(self.waiting[topic])]
+        near = [min(kept, key=lambda other: abs(other - taken), default=np.inf) for kept in self.waiting]
+        if np.ptp(near) < self.apart:
+            self.callback(*(kept.pop(time) for kept, time in zip(self.waiting, near, strict=True)))
+
+
 @pytest.fixture
 def published(store, monkeypatch) -> list:
     """What a node without ROS publishes, by topic."""
@@ -133,8 +152,7 @@ def published(store, monkeypatch) -> list:
     module("rclpy.qos", qos_profile_sensor_data=None)
     broadcaster = SimpleNamespace(sendTransform=lambda transforms: said.append(("tf", transforms)))
     module("tf2_ros", TransformBroadcaster=lambda node: broadcaster)
-    synchronizer = SimpleNamespace(registerCallback=lambda callback: None)
-    module("message_filters", Subscriber=lambda *_, **__: None, ApproximateTimeSynchronizer=lambda *_: synchronizer)
+    module("message_filters", Subscriber=lambda *_, **__: None, ApproximateTimeSynchronizer=Synchronizer)
     monkeypatch.delitem(sys.modules, "omad_ros.node", raising=False)
     return said
 
@@ -152,6 +170,19 @@ def test_the_node_answers_each_image(store, published, monkeypatch):
     info.width = 320
     running.answer(depth, info)
     assert published[-1][0] == "error"
+
+
+def test_a_mask_that_took_long_meets_its_own_image(published, monkeypatch):
+    node, answered = importlib.import_module("omad_ros.node"), []
+    monkeypatch.setattr(node, "DEFAULTS", {**node.DEFAULTS, "use_mask": True})
+    monkeypatch.setattr(node.OmadNode, "answer", lambda _, *messages: answered.append(messages))
+    synchronizer = node.OmadNode().synchronizer
+    rate, late = 30, 10
+    for number in range(2 * rate):
+        for topic, delay in enumerate((0, 0, late)):
+            if number >= delay:
+                synchronizer.add(topic, (number - delay) / rate, number - delay)
+    assert answered == [(number, number, number) for number in range(2 * rate - late)]
 
 
 def test_the_launch_file_takes_what_the_node_takes(published, monkeypatch):

@@ -33,8 +33,11 @@ CLASSES = {
     "std_msgs": (ColorRGBA, Header),
     "visualization_msgs": (Marker, MarkerArray),
 }
-QUEUE, APART = 4, 0.05
-"""Messages kept, and seconds that those of one moment may be apart."""
+QUEUE = 4
+"""Messages that are kept for subscribers."""
+RECENT, APART = 30, 0.05
+"""Images that wait for their masks, which are worked out meanwhile, and seconds that messages of one moment may be
+apart."""
 DEFAULTS = {"category": "laptop", "weights": "", "use_mask": False, "track": True}
 
 
@@ -54,7 +57,7 @@ class OmadNode(Node):
         self.broadcaster = TransformBroadcaster(self)
         topics = [(Image, "depth"), (CameraInfo, "info")] + [(Image, "mask")] * told["use_mask"]
         seen = [Subscriber(self, kind, name, qos_profile=qos_profile_sensor_data) for kind, name in topics]
-        self.synchronizer = ApproximateTimeSynchronizer(seen, QUEUE, APART)
+        self.synchronizer = ApproximateTimeSynchronizer(seen, RECENT, APART)
         self.synchronizer.registerCallback(self.answer)
 
     def answer(self, depth: Any, info: Any, mask: Any = None) -> None:
