@@ -4,8 +4,6 @@ import importlib.util
 import json
 import os
 import signal
-import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -14,7 +12,9 @@ import pytest
 import torch
 
 from helpers.categories import LAPTOP
-from omad.applications.retrieval.index import Entry, ShapeIndex
+from helpers.numbered import SIZE, SPACE, add_slowly, betas, entries, stream
+from helpers.warm import warm
+from omad.applications.retrieval.index import ShapeIndex
 from omad.applications.retrieval.large import large_index
 from omad.applications.retrieval.large.large_index import LargeIndex, open_index
 from omad.applications.retrieval.large.lists import PROBES, ListSearch, learn_centres, sorted_into_lists, write_lists
@@ -29,22 +29,6 @@ from omad.model.prior import OmadPrior
 pytestmark = pytest.mark.skipif(
     importlib.util.find_spec("faiss") is None, reason="FAISS is not installed (extra omad[faiss])"
 )
-SIZE = LAPTOP.basis_size
-SPACE = Space.of(OmadPrior(LAPTOP, generator=torch.Generator().manual_seed(0)), LAPTOP, "beta")
-
-
-def entries(first: int, last: int) -> list[Entry]:
-    return [Entry(f"object {i // 2}", f"fïle {i}", bytes([i % 256]) * (i % 3)) for i in range(first, last)]
-
-
-def betas(count: int) -> np.ndarray:
-    return np.random.default_rng(0).standard_normal((count, SIZE)).astype(np.float32)
-
-
-def stream(count: int, first: int = 0, each: int = 100):
-    for start in range(first, count, each):
-        stop = min(start + each, count)
-        yield Portion(betas(count)[start:stop], entries(start, stop), 2 * (stop - start) * np.eye(SIZE), stop - start)
 
 
 def exact(count: int) -> ShapeIndex:
@@ -221,44 +205,32 @@ def test_an_index_that_is_overtaken_as_it_is_opened_is_opened_as_it_is_then(tmp_
     assert len(Overtaken.open(tmp_path)) == 12000
 
 
-ADDING = """
-import sys, time
-from pathlib import Path
-sys.path.insert(0, sys.argv[2])
-from applications.test_large_index import SPACE, stream
-from omad.applications.retrieval.large import large_index
-large_index.PART_ENTRIES = 500
-index = large_index.LargeIndex.create(Path(sys.argv[1]), SPACE)
-def paced():  # so that it is not done before it was killed six times
-    for portion in stream(20000, index.taken("numbers")):
-        time.sleep(0.015)
-        yield portion
-index.add(paced(), "numbers")
-"""
-
-
 @pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="signals as POSIX has them")
 def test_killed_at_any_moment_nothing_is_lost_or_doubled(tmp_path):
     """Whatever was there once is there for good; run to the end, it holds every entry once and nothing lies about."""
     folder, rng, before = tmp_path / "index", np.random.default_rng(0), 0
-    command = [sys.executable, "-c", ADDING, folder, Path(__file__).parents[1]]
     for _ in range(6):
-        process = subprocess.Popen([*map(str, command)])
+        process = warm().Process(target=add_slowly, args=(folder,))
+        process.start()
         wait = time.monotonic() + 120
         while not (folder / "manifest.json").exists() or len(open_index(folder)) == before:
-            assert process.poll() is None
+            assert process.is_alive()
             assert time.monotonic() < wait
             time.sleep(0.02)
         time.sleep(float(rng.uniform(0, 0.3)))
-        os.kill(process.pid, signal.SIGKILL)
-        process.wait()
+        process.kill()
+        process.join()
+        assert process.exitcode == -signal.SIGKILL
         index = open_index(folder)
         assert len(index) > before
         before = len(index)
         rows = rng.integers(before, size=20)
         assert [index.entry(int(row)) for row in rows] == [entries(row, row + 1)[0] for row in rows.tolist()]
-    subprocess.run([*map(str, command)], check=True, timeout=300)
+    whole = warm().Process(target=add_slowly, args=(folder,))
+    whole.start()
+    whole.join(300)
+    assert whole.exitcode == 0
     index = open_index(folder)
     assert len(index) == 20000
     everything = index.nearest(np.zeros((1, SIZE)), 20000).rows[0]

@@ -12,10 +12,12 @@ import pytest
 
 from helpers.command_line import LAPTOP, K, answer, laptop_view, refused
 from helpers.shards import Squares
+from helpers.warm import warm
 from omad.applications.cluster import engines
 from omad.applications.cluster.engines import in_processes
 from omad.applications.cluster.shards import Plan, Report, run_shards
 from omad.common.errors import InputError, WorkError
+from omad.common.processes import workers
 from omad.data.shards.parquet import part_name
 from omad.data.shards.store import Store
 
@@ -88,7 +90,7 @@ def test_at_an_address(tmp_path):
         Store.of("nosuch://bucket")
 
 
-def test_processes_do_what_failed_or_was_killed_again(tmp_path, monkeypatch):
+def test_processes_do_what_failed_or_was_killed_again(tmp_path, begun_quickly, monkeypatch):
     monkeypatch.setattr(engines, "PAUSE", 0.01)
     whole = plan(tmp_path / "out", Squares(tmp_path, fails=(4, 12), kills=(8,)))
     assert_all_once(whole, run_shards(whole, {}, lambda plan, numbers: in_processes(plan, numbers, 2)))
@@ -102,6 +104,13 @@ def test_bad_input_ends_a_run_in_one_line_and_is_not_tried_again(tmp_path):
     assert whole.work.begun().count(4) == 1
     mended = plan(tmp_path / "out", Squares(tmp_path))
     assert_all_once(mended, run_shards(mended, {}, here))
+
+
+@pytest.fixture
+def begun_quickly(monkeypatch):
+    """Helper processes are forked from one that has imported what they need; elsewhere here they begin from nothing."""
+    context = warm()
+    monkeypatch.setattr(workers.multiprocessing, "get_context", lambda method: context)
 
 
 @pytest.fixture
@@ -134,7 +143,9 @@ def assert_same_rows(folder: str, lines: str) -> None:
 
 
 @pytest.mark.slow
-def test_what_is_rendered_in_shards_is_estimated_and_measured(in_a_folder_of_its_own, without_ray, capsys):
+def test_what_is_rendered_in_shards_is_estimated_and_measured(
+    in_a_folder_of_its_own, without_ray, begun_quickly, capsys
+):
     """Without Ray the same commands use processes."""
     objects = [*LAPTOP, "--objects", "2", "--views", "10"]
     made = answer(capsys, "render", *objects, "--cluster", "--shard", "4", "--output", "views", "--workers", "2")
@@ -173,7 +184,7 @@ def test_what_is_rendered_in_shards_is_estimated_and_measured(in_a_folder_of_its
 
 
 @pytest.mark.slow
-def test_accuracy_is_measured_on_what_was_rendered(in_a_folder_of_its_own, without_ray, capsys):
+def test_accuracy_is_measured_on_what_was_rendered(in_a_folder_of_its_own, without_ray, begun_quickly, capsys):
     """With and without --cluster, and as on the same views of a folder."""
     objects = [*LAPTOP, "--objects", "2", "--views", "10"]
     answer(capsys, "render", *objects, "--cluster", "--shard", "4", "--output", "views", "--workers", "1")

@@ -12,7 +12,8 @@ from multiprocessing.context import ForkServerContext
 
 IMPORTED = [
     *["torch._dynamo", "torch.utils.tensorboard", "matplotlib.pyplot", "omad.cli.main", "omad.data.training_views"],
-    *["omad.estimation.estimator", "omad.evaluation.confidence", "omad.training.train_net"],
+    *["omad.estimation.estimator", "omad.evaluation.confidence", "omad.training.train_net", "omad.data.source"],
+    *["omad.data.urdf_import.importing", "omad.output.formats", "omad.applications.tracking.frames"],
 ]
 
 
