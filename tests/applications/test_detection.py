@@ -81,6 +81,16 @@ def test_a_scale_at_which_things_are_objects_is_named(name: str, factor: float, 
     assert list(detector.scale_doubts(replace(true, detections=true.detections[-1:]), 0.001)) == []
 
 
+def test_things_of_other_categories_speak_for_no_other_scale() -> None:
+    drawn, detector = draw_tabletop(("stapler", "eyeglasses"), (1, 7)), Detector([LateEstimator.of("laptop")])
+    look = detector.look(omad.Observation.from_depth(drawn.depth, drawn.camera))
+    look = replace(look, detections=look.detections[:2])
+    assert [one.category for one in look.detections] == [None, None]
+    assert list(detector.scale_doubts(look, 0.001)) == []
+    [said] = detector.scale_doubts(replace(look, detections=detector._at_scale(look, 100.0)), 0.1)
+    assert "times too large" in said  # than anything
+
+
 def test_where_no_table_was_told_from_what_stands_on_it_that_is_said() -> None:
     rows, columns = np.mgrid[:480, :640]
     across, along = (columns - 319.5) / 320, (rows - 239.5) / 240

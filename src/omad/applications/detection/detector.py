@@ -15,6 +15,8 @@ from omad.estimation.estimate import Estimate, plain
 from omad.geometry.rigid import box as bounds
 from omad.model.checkpoint import shipped_categories
 from omad.model.proposals.network import Proposer, shipped_proposer
+from omad.objects.category import Category
+from omad.objects.category_file import get_category
 from omad.sensing.cutting.angles import angle_doubts
 from omad.sensing.cutting.segmentation import WITHIN, things_alone, things_before_planes
 from omad.sensing.observation import Observation
@@ -159,21 +161,21 @@ class Detector:
         return Look(judged, found.lowest, flat, doubts, found.planes)
 
     def scale_doubts(self, look: Look, depth_scale: float | None) -> Iterator[str]:
-        """Where a wrong ``depth_scale``, metres per number where known, may be why nothing is of the categories: most
-        things are of no object's size, or at another scale some are objects."""
+        """Where a wrong ``depth_scale``, metres per number where known, may be why nothing is of the categories: at
+        another scale some things are objects, or most are of no object's size, whatever its category."""
         sizes = [float(np.linalg.norm(np.ptp(one.observation.points, axis=0))) for one in look.detections]
-        usual = [USUAL_SIZE * estimator.category.metres_per_unit for estimator in self.estimators]
         if not sizes or any(one.category for one in look.detections):
             return
-        what, scale = f"{len(sizes)} things of up to {max(sizes):.2g} m, none of them an object", None
-        if not min(usual) / ODD_SIZE < np.median(sizes) < ODD_SIZE * max(usual):
-            scale = wrong_scale(max(sizes), float(np.median(usual)), depth_scale)
-        best = 0.0
-        for factor in () if scale else FACTORS:
+        what, best, scale = f"{len(sizes)} things of up to {max(sizes):.2g} m, none of them an object", 0.0, None
+        for factor in FACTORS:
             sure = [one for one in self._at_scale(look, factor) if one.category and one.probability > SURE_OF_SCALE]
             if (score := sum(one.probability for one in sure)) > best:
                 best, scale = score, WrongScale.of(factor, depth_scale)
                 what = f"{len(sizes)} things, none of them an object, but at another scale {len(sure)} of them"
+        asked = [_usual_size(estimator.category) for estimator in self.estimators]
+        known = [*asked, *(_usual_size(get_category(name)) for name in shipped_categories())]
+        if scale is None and not min(known) / ODD_SIZE < np.median(sizes) < ODD_SIZE * max(known):
+            scale = wrong_scale(max(sizes), float(np.median(asked)), depth_scale)
         if scale is not None:
             yield f"{what}: {scale.why}; {scale.cure}"
 
@@ -275,6 +277,11 @@ def _of_box(things: Sequence[np.ndarray], inside: np.ndarray | None) -> list[np.
     cut = [(thing[inside[thing]], len(thing)) for thing in things]
     cut = [(part, of) for part, of in cut if len(part) >= LEAST]
     return [part for part, of in cut if len(part) >= WITHIN * of] or [part for part, _ in cut]
+
+
+def _usual_size(category: Category) -> float:
+    """Metres."""
+    return USUAL_SIZE * category.metres_per_unit
 
 
 def _height(estimator: AnyEstimator) -> float:
