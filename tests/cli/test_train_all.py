@@ -29,6 +29,7 @@ def elsewhere(tmp_path, monkeypatch):
 @pytest.mark.slow
 def test_all_steps_of_two_categories_and_what_is_done_stays(capsys, monkeypatch):
     monkeypatch.setattr(fitting, "FEWEST", 5)
+    monkeypatch.setattr(fitting, "STEPS", 5)
     command = ["train", "all", "--categories", "laptop", "dishwasher", *TINY]
     found = answer(capsys, *command)
     assert [result["category"] for result in found["results"]] == ["laptop", "dishwasher"]
@@ -57,7 +58,7 @@ def test_two_processes_share_the_networks_training_and_one_does_the_rest(tmp_pat
     script = tmp_path / "small.py"
     script.write_text(
         "from omad.evaluation.confidence import fitting\nfrom omad.__main__ import main\n"
-        "fitting.FEWEST = 5\nif __name__ == '__main__':\n    main()\n"
+        "fitting.FEWEST = fitting.STEPS = 5\nif __name__ == '__main__':\n    main()\n"
     )
     command = [
         "train",
