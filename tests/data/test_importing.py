@@ -300,8 +300,11 @@ def test_what_is_odd_about_a_model_is_noted(capsys):
     write_microwaves(Path("models"), 1)
     [model] = sorted(Path("models").iterdir())
     made = answer(capsys, "import", str(model), *WITH, "--output", "large", "--scale", "1000")
-    assert "m across" in made["notes"][0]["reason"]
-    assert "--scale" in made["notes"][0]["reason"]
+    assert not made["notes"]
+    assert "m across" in made["warnings"][0]["reason"]
+    assert "--scale 1 " in made["warnings"][0]["reason"]
+    assert run(["render", *WITH, "--source", "large", "--output", "views", "--views", "1"]) == 0
+    assert f"large: warning: {made['used'][0]} is " in capsys.readouterr().err
     file = next(model.glob("*.urdf"))
     lost = '<visual><geometry><mesh filename="lost.obj"/></geometry></visual>'
     file.write_text(file.read_text().replace("</link>", f"{lost}</link>", 1))

@@ -339,6 +339,10 @@ def test_a_folder_may_be_one_object_or_hold_urdf_files(tmp_path):
     write_urdf(plain_dishwasher(), tmp_path / "partnet" / "mobility.urdf")
     assert [model.name for model in load_folder(tmp_path / "partnet", DISHWASHER).models] == ["partnet"]
     assert [model.name for model in load_folder(tmp_path / "v1.3.urdf", DISHWASHER).models] == ["v1.3"]
+    (tmp_path / "v1.3.urdf").rename(tmp_path / "V1.3.URDF")
+    assert [model.name for model in load_folder(tmp_path, DISHWASHER).models] == ["V1.3", "v1.2"]
+    assert write_urdf(plain_dishwasher(), tmp_path / "folders" / "4" / "MODEL.URDF").name == "MODEL.URDF"
+    assert [model.name for model in load_folder(tmp_path / "folders", DISHWASHER).models] == ["4"]
 
 
 def test_folders_without_objects_are_refused(tmp_path):

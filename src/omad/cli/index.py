@@ -47,6 +47,7 @@ with lazy_imports():
     from omad.common.incoming import is_path
     from omad.data.rendering.standard_views import View
     from omad.data.source import kind_of, load_models, load_views
+    from omad.data.urdf_import.folder import is_urdf
     from omad.model.checkpoint import find_weights
     from omad.output.picture import save
     from omad.sensing.reader import InputReader, files_in, input_files
@@ -137,7 +138,7 @@ class IndexBuild(CategoryCommand):
     def _files(self) -> list[Path]:
         """Depth images and clouds, where the source is a folder of such."""
         folder = Path(self.source)
-        if self.source == "procedural" or not is_path(folder) or next(folder.rglob("*.urdf"), None):
+        if self.source == "procedural" or not is_path(folder) or any(map(is_urdf, folder.rglob("*"))):
             return []
         return files_in(folder, "**/[!.]*")
 

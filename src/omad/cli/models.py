@@ -1,5 +1,6 @@
 """The commands that make object models and views of them: ``omad generate``, ``omad import``, ``omad render``."""
 
+import sys
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -77,6 +78,8 @@ class Import:
         found = import_folder(self.source, category, self.output, self.scale, self.missing_meshes, self.mesh_folder)
         if not found.models and len(found.refused) == 1:
             raise InputError(f"{self.source}: no usable model in it: {found.refused[0].reason}")
+        for doubt in found.doubts:
+            print(f"{self.source}: warning: {doubt.name} {doubt.reason}", file=sys.stderr)
         picture = self.output / "models.png"
         if found.models:
             save(contact_sheet(found.models), picture)

@@ -24,7 +24,7 @@ def write_urdf(model: ObjectModel, path: Path | str, collisions: Sequence[Sequen
     ``meshes/`` beside the file, as OBJ. Each file is written whole or not at all, the URDF last. ``collisions`` are the
     bodies of each part that simulators take; without, they take its mesh."""
     path = Path(path)
-    file = path if path.suffix == ".urdf" else path / "model.urdf"
+    file = path if path.suffix.lower() == ".urdf" else path / "model.urdf"
     write_text(file, xml_text(urdf_robot(model, file, collisions)))
     return file
 

@@ -1,6 +1,8 @@
 """Object models from folders of URDFs: plain ones in metres, and PartNet-Mobility's normalised ones."""
 
+import math
 import os
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -28,6 +30,8 @@ RECORD = "import.json"
 """In a folder of imported models, beside their folders: where they come from."""
 UPRIGHT = 0.9
 """Cosine from which an axis points up."""
+USUAL = 2.0
+"""Category units that objects are across."""
 
 
 @dataclass(frozen=True)
@@ -58,6 +62,8 @@ class FolderImport:
     refused: list[Refusal]
     notes: list[Refusal] = field(default_factory=list)
     """What had to be put right about models that were taken in."""
+    doubts: list[Refusal] = field(default_factory=list)
+    """What may be wrong with models that were taken in."""
 
 
 def load_folder(
@@ -79,7 +85,7 @@ def load_folder(
         else:
             models.append(found.model)
             notes += [Refusal(found.model.name, note) for note in found.notes]
-    return FolderImport(models, refused, notes)
+    return FolderImport(models, refused, notes, size_doubts(models, category, scale))
 
 
 def import_model(
@@ -131,12 +137,21 @@ def _imported(
         raise InputError(f"{file}: not usable as {category.name}: {error}{cure}") from error
     of_other_hand = aligned.mirrored != (category.either_hand and _mirrored_before(path))
     notes += [MIRRORED] if of_other_hand else []
-    if odd := odd_size(aligned.model.diagonal, category):
-        notes.append(f"{odd}: look at --scale, the metres per unit of its file")
     if stated.skipped:
         notes.append(f"is taken without {len(stated.skipped)} of its mesh files, which are missing")
     model = replace(aligned.model, name=object_name(path), of_other_hand=of_other_hand)
     return ImportedModel(model, notes, _up(aligned.R_canonical_source))
+
+
+def size_doubts(models: Sequence[ObjectModel], category: Category, scale: float | None) -> list[Refusal]:
+    """Of models that are much too large or small, with the ``scale`` of their import that makes them usual."""
+    doubts = []
+    for model in models:
+        if odd := odd_size(model.diagonal, category):
+            factor = 10.0 ** round(math.log10(USUAL * category.metres_per_unit / model.diagonal))
+            cure = f"omad import --scale {factor * (scale or 1.0):g} (metres per unit of its file)"
+            doubts.append(Refusal(model.name, f"{odd}; {cure} makes it {factor * model.diagonal:.3g} m"))
+    return doubts
 
 
 @lru_cache(maxsize=1)
@@ -189,7 +204,7 @@ def object_paths(folder: Path | str) -> list[Path]:
     if folder.is_file() or (folder / partnet.URDF).is_file():
         return [folder]
     folders = (sub for sub in folder.iterdir() if sub.is_dir() and not sub.name.startswith("."))
-    found = sorted(folder.glob("*.urdf")) or sorted(folders)
+    found = _urdf_files(folder) or sorted(folders)
     if not found:
         raise InputError(f"{folder}: no .urdf in it or in its sub-folders; give a folder of URDF models")
     return found
@@ -198,7 +213,7 @@ def object_paths(folder: Path | str) -> list[Path]:
 def _urdf_of(folder: Path) -> Path:
     if (folder / partnet.URDF).is_file():
         return folder / partnet.URDF
-    files = sorted(folder.glob("*.urdf"))
+    files = _urdf_files(folder)
     if len(files) != 1:
         found = f"{len(files)} .urdf files" if files else "no .urdf file"
         raise InputError(f"{folder}: {found}, expected one; give the file itself, or the folder of such folders")
@@ -209,4 +224,13 @@ def object_name(path: Path) -> str:
     """An object is called like its folder, a lone file like itself."""
     if path.name == partnet.URDF:
         path = path.resolve().parent
-    return path.stem if path.suffix == ".urdf" else path.resolve().name
+    return path.stem if is_urdf(path) else path.resolve().name
+
+
+def is_urdf(path: Path) -> bool:
+    """By its extension, in capitals or not."""
+    return path.suffix.lower() == ".urdf"
+
+
+def _urdf_files(folder: Path) -> list[Path]:
+    return sorted(filter(is_urdf, folder.iterdir()))

@@ -27,7 +27,7 @@ from omad.objects.model import ObjectModel
 from omad.objects.urdf import mesh_files, write_urdf
 
 from .articulation import read_urdf
-from .folder import MIRRORED, RECORD, ImportedModel, Refusal, import_with_notes, object_name, object_paths
+from .folder import MIRRORED, RECORD, ImportedModel, Refusal, import_with_notes, object_name, object_paths, size_doubts
 from .shapes import MissingMeshes
 
 _NO_NAME = "\0\\:" if os.name == "nt" else "\0"
@@ -42,6 +42,8 @@ class ImportSummary:
     refused: list[Refusal]
     notes: list[Refusal]
     """What had to be put right about models that are used."""
+    doubts: list[Refusal]
+    """What may be wrong with models that are used."""
 
     @property
     def used(self) -> list[str]:
@@ -55,8 +57,9 @@ class ImportSummary:
 
     def to_dict(self) -> dict[str, Any]:
         """Names instead of models, and all else, as plain values."""
-        refused, notes = ([asdict(each) for each in listed] for listed in (self.refused, self.notes))
-        return {"used": self.used, "refused": refused, "reasons": self.reasons, "notes": notes}
+        listed = {"refused": self.refused, "notes": self.notes, "warnings": self.doubts}
+        plain = {name: [asdict(each) for each in entries] for name, entries in listed.items()}
+        return {"used": self.used, "reasons": self.reasons, **plain}
 
 
 def import_folder(
@@ -115,7 +118,8 @@ def _import_all(
         except InputError as error:
             refused.append(Refusal(name, str(error)))
             record.drop(name)
-    summary = ImportSummary(models, refused, [*notes, *_lying(record.up, category.either_hand)])
+    doubts = size_doubts(models, category, record.options["scale"])
+    summary = ImportSummary(models, refused, [*notes, *_lying(record.up, category.either_hand)], doubts)
     if models or (output / RECORD).is_file():
         record.write(summary.to_dict())
     return summary

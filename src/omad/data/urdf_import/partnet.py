@@ -26,7 +26,7 @@ CONTRADICTION = 0.01
 
 def is_partnet(file: Path) -> bool:
     """Whether the URDF ``file`` belongs to PartNet-Mobility: its lengths are normalised."""
-    return file.name == URDF or (file.parent / NAMES).is_file()
+    return file.name.lower() == URDF or (file.parent / NAMES).is_file()
 
 
 def check_source_name(folder: Path, category: Category) -> None:
