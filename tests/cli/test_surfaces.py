@@ -9,6 +9,7 @@ import omad
 from helpers.command_line import LAPTOP, K, answer, laptop_view, refused, save_png
 from omad.model.checkpoint import find_weights
 from omad.model.surfaces.bank import FILE
+from omad.model.surfaces.surfaces import Surfaces
 
 
 @pytest.fixture
@@ -57,6 +58,14 @@ def test_commands_go_on_to_the_surface(tmp_path, monkeypatch, capsys):
     assert plain["refined"] != fitted["refined"]
     assert "surface" in fitted["seconds"]
     assert "surface" not in plain["seconds"]
+
+
+def test_the_surface_is_fitted_once_for_all_files(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    fitted, fits = Surfaces.fitted, []
+    monkeypatch.setattr(Surfaces, "fitted", lambda *asked: fits.append(asked) or fitted(*asked))
+    answer(capsys, "estimate", save_png("laptop.png"), *LAPTOP, *K, "--formats", "ply")
+    assert len(fits) == 1
 
 
 def test_several_views_do_not_go_each_its_own_way(tmp_path, monkeypatch, capsys):

@@ -171,15 +171,15 @@ class EstimateCommand(CategoryCommand):
         self, observation: omad.Observation, found: Found, folder: Path, file: Path, T_world_camera: Any
     ) -> None:
         """All files of one input but the JSON, and what a person should read of it on stderr."""
-        estimate = found.estimate
-        estimate.save_urdf(folder / "object.urdf")
-        picture.save(picture.figure(observation, estimate, title=file.name), folder / "estimate.png")
         said = observation.warnings + tuple(str(check) for check in found.checks)
         warnings = observation.warnings
-        if estimate.joints_alone:  # of one of several views: what is said of the others
-            warnings += tuple(told for told in estimate.warnings if not told.endswith(said))
+        if found.estimate.joints_alone:  # of one of several views: what is said of the others
+            warnings += tuple(told for told in found.estimate.warnings if not told.endswith(said))
         doubts = warnings + said[len(observation.warnings) :]
-        save_html(observation, replace(estimate, warnings=doubts), folder / "estimate.html", title=file.name)
+        estimate = replace(found.estimate, warnings=doubts)  # whose surface is fitted once for all files
+        estimate.save_urdf(folder / "object.urdf")
+        picture.save(picture.figure(observation, estimate, title=file.name), folder / "estimate.png")
+        save_html(observation, estimate, folder / "estimate.html", title=file.name)
         save_formats(estimate, observation, folder, self.formats, T_world_camera)
         joints = ", ".join(map(str, estimate.joints))
         name = "" if found.ranking is None or self.category != AUTO else f"{_named(found.ranking)}: "
