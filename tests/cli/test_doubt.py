@@ -146,6 +146,7 @@ def test_an_id_without_a_mask_is_refused(capsys):
 @pytest.mark.slow
 def test_confidence_is_trained_into_the_checkpoint(capsys, monkeypatch):
     monkeypatch.setattr("omad.evaluation.confidence.fitting.FEWEST", 30)
+    monkeypatch.setattr("omad.evaluation.confidence.fitting.STEPS", 60)
     weights = checkpoint("own", None)
     trained = ["train", "confidence", *LAPTOP, *weights, "--objects", "5"]
     assert "give more" in refused(capsys, *trained, "--views", "8")
