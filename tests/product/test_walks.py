@@ -5,7 +5,7 @@ import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -48,8 +48,9 @@ class Walk:
         """What a program prints that uses the changed copy."""
         return self._run("-c", code)
 
-    def omad(self, *words: str) -> str:
-        return self._run("-m", "omad", *words)
+    def omad(self, *lines: Sequence[str]) -> str:
+        """What command lines print, one after the other in one program."""
+        return self._run("-c", f"from omad.cli.main import run\nfor line in {lines}:\n    assert run(line) == 0, line")
 
     def _run(self, *words: str) -> str:
         environment = os.environ | {"PYTHONPATH": str(self.root.parent)}
@@ -99,9 +100,12 @@ def test_a_category_is_its_spec_its_generator_and_its_weights(walk):
         "    return JointedParts(parts=(body, lid), pivots=np.array([[0.0, h, -w]]))\n",
     )
     budget = ["--category", "bin", "--objects", "3", "--steps", "3", "--batch", "2", "--threads", "1"]
-    walk.omad("train", "prior", *budget, "--output", "bin/prior")
-    walk.omad("train", "net", *budget, "--prior", "bin/prior", "--output", "bin")
-    assert '"bin"' in walk.omad("eval", "pose", "--category", "bin", "--weights", "bin", "--views", "3", "--json")
+    said = walk.omad(
+        ["train", "prior", *budget, "--output", "bin/prior"],
+        ["train", "net", *budget, "--prior", "bin/prior", "--output", "bin"],
+        ["eval", "pose", "--category", "bin", "--weights", "bin", "--views", "3", "--json"],
+    )
+    assert '"category": "bin"' in said
     assert walk.touched == {"objects/builtin/bin.toml", "data/procedural/storage/bin.py"}
     for file in ("objects/builtin/NAME.toml", "data/procedural/GROUP/NAME.py", "model/weights/NAME"):
         assert file in named("A category")
@@ -147,7 +151,7 @@ def test_a_loss_is_a_function_and_a_term(walk):
     )
     walk.change(training, where="\nimport torch\n", after="from . import losses\n")
     budget = ["--objects", "2", "--steps", "50", "--batch", "2", "--threads", "1", "--output", "net"]
-    walk.omad("train", "net", "--category", "laptop", *budget)
+    walk.omad(["train", "net", "--category", "laptop", *budget])
     assert "height" in next((walk.folder / "net").glob("metrics*")).read_text()
     assert walk.touched == {losses, training}
     assert all(file in named("A loss") for file in walk.touched)
@@ -170,8 +174,10 @@ def test_a_backbone_is_a_file_and_an_entry(walk):
     walk.change(table, where="from .pointnet2 import PointNet2Config\n", after="from .mean import MeanConfig\n")
     walk.change(table, where="BACKBONES: dict[str, BackboneConfig] = {\n", after='    "mean": MeanConfig(),\n')
     budget = ["--objects", "2", "--steps", "2", "--batch", "2", "--threads", "1", "--size", "mean", "--output", "net"]
-    walk.omad("train", "net", "--category", "laptop", *budget)
-    walk.omad("eval", "pose", "--category", "laptop", "--weights", "net", "--views", "2", "--json")
+    walk.omad(
+        ["train", "net", "--category", "laptop", *budget],
+        ["eval", "pose", "--category", "laptop", "--weights", "net", "--views", "2"],
+    )
     assert walk.touched == {new, table}
     assert "model/backbones/NAME.py" in named("A backbone")
     assert table in named("A backbone")
@@ -189,7 +195,8 @@ def test_a_data_source_is_a_file_and_an_entry(walk):
     )
     entry = "SourceKind(is_cubes, models=lambda s, category, n, *_: ModelSource(cubes(category, n)))"
     walk.change(table, where="KINDS: dict[str, SourceKind] = {\n", after=f'    "cubes": {entry},\n')
-    walk.omad("render", "--category", "laptop", "--source", "cubes", "--objects", "1", "--views", "1", "--output", "v")
+    few = ["--objects", "1", "--views", "1"]
+    walk.omad(["render", "--category", "laptop", "--source", "cubes", *few, "--output", "v"])
     assert (walk.folder / "v" / "dataset.json").is_file()
     assert walk.touched == {new, table}
     assert "data/NAME.py" in named("A data source")
@@ -208,7 +215,7 @@ def test_an_export_format_is_a_file_and_an_entry(walk):
     where = "FORMATS: dict[str, Callable[[Export, Path], object]] = {\n"
     walk.change(table, where=where, after=f'    "csv": {entry},\n')
     np.save(walk.folder / "cloud.npy", cloud())
-    walk.omad("estimate", "cloud.npy", "--category", "laptop", "--formats", "csv")
+    walk.omad(["estimate", "cloud.npy", "--category", "laptop", "--formats", "csv"])
     assert len((walk.folder / "omad-estimate" / "cloud" / "keypoints.csv").read_text().splitlines()) == 24
     assert walk.touched == {new, table}
     assert "output/NAME.py" in named("An export format")
