@@ -229,11 +229,22 @@ def test_messages_name_fields_and_no_options(service):
     jpeg = stored(Image.fromarray(np.zeros((480, 640), np.uint8)).save, "JPEG")
     error = service.post(fields(mask=jpeg, mask_id=b"1")).record["error"]
     assert error == "mask: a JPEG does not keep ids; store label images as PNG, or leave mask_id out"
+    odd = fields(mask=png(np.full((480, 640), 255, np.uint8)), depth_scale=b"0.0001")
+    for reply in (service.post(odd), service.post(odd | {"format": b"html"})):
+        assert reply.status == 200
+        assert b"try another viewpoint, a better mask" in reply.body
+        assert b"--gravity" not in reply.body
+    found = service.post(odd).record
+    assert found["checks"][0]["cure"].startswith("depth_scale 0.001, or another mask")
+    assert "--" not in json.dumps([found["warnings"], found["checks"]])
     for told, said in (
         ("(on the command line: --depth-scale 0.001)", "(depth_scale 0.001)"),
         ("undistort it, or --distortion", "undistort it"),
         ("align it, or on the command line --color-intrinsics and --color-extrinsics", "align it"),
         ("--mask-id 3", "mask_id 3"),
+        ("try --category oven, or --category auto", "try category oven, or category auto"),
+        ("a better mask, or --gravity where it stands upright; or go on", "a better mask; or go on"),
+        ("look at estimate.png, where they are coloured; give omad estimate a mask", "give a mask"),
     ):
         assert in_fields(told) == said
 

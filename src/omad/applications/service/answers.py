@@ -116,11 +116,11 @@ def _reply(read: _Read, found: Found | Exception) -> Reply:
 
 def _told(read: _Read, found: Found) -> Reply:
     found.estimate.seconds["read"] = read.seconds
-    if found.none:
-        return Reply.of(200, found.none_of_them())
-    if read.asked.format == "json":
-        return Reply.of(200, found.to_dict())
+    if found.none or read.asked.format == "json":
+        record = found.none_of_them() if found.none else found.to_dict()
+        checks = [{key: in_fields(told) for key, told in check.items()} for check in record["checks"]]
+        return Reply.of(200, record | {"warnings": [*map(in_fields, record["warnings"])], "checks": checks})
     assert isinstance(read.view, Observation)
     doubts = read.view.warnings + tuple(str(check) for check in found.checks)
-    page = page_text(read.view, replace(found.estimate, warnings=doubts))
+    page = page_text(read.view, replace(found.estimate, warnings=tuple(map(in_fields, doubts))))
     return Reply(200, page.encode(), "text/html; charset=utf-8")

@@ -16,6 +16,13 @@ CHECKS = ("all", "few")
 SEGMENTS = ("plane",)
 FORMATS = ("json", "html")
 PNG_MAGIC = b"\x89PNG"
+HERE = {
+    r",? or (on the command line )?--[a-z-]+[^,;:)]*": "",
+    r"\bomad estimate a mask": "a mask",
+    r"\bestimate\.html": "the page (format html)",
+    r"\blook at estimate\.png[^;]*; ": "",
+}
+"""Of patterns in what is said of the command line: what a request has in place of it, where it has anything."""
 T = TypeVar("T")
 
 
@@ -82,12 +89,14 @@ class Asked:
 
 
 def in_fields(message: str) -> str:
-    """What a reader says of the command line's options, said of a request's fields; options that are no field are not
-    offered."""
+    """What is said of the command line's options and files, said of a request's fields; options that are no field are
+    not offered."""
     for name in Asked.__dataclass_fields__:
         option = f"--{name.replace('_', '-')}"
         message = re.sub(rf"({name} \({option}\)|(on the command line:? )?{option})(?![\w-])", name, message)
-    return re.sub(r",? or (on the command line )?--[a-z-]+( and --[a-z-]+)*", "", message)
+    for pattern, here in HERE.items():
+        message = re.sub(pattern, here, message)
+    return message
 
 
 def _text(name: str, value: bytes) -> str:
