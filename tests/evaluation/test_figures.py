@@ -124,6 +124,12 @@ def test_tsne_says_what_it_needs(capsys, monkeypatch):
     assert "omad[figures]" in refused(capsys, "figure", "tsne", *LAPTOP)
 
 
+def test_a_sweep_of_more_directions_than_there_are_is_refused(capsys):
+    line = refused(capsys, "figure", "sweep", *LAPTOP, "--directions", "11", "--output", "figures")
+    assert "--directions 11: beta of a laptop has 10" in line
+    assert not Path("figures").exists()
+
+
 @pytest.mark.parametrize("name", ["qualitative", "keypoints", "sweep", "occlusion"])
 def test_bad_input(name, capsys):
     assert "spoon" in refused(capsys, "figure", name, "--categories", "spoon")

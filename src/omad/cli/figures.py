@@ -109,12 +109,13 @@ class FigureSweep(_Drawing):
         joints, shapes = [], []
         for _, estimator in self.estimators():
             category, prior = estimator.category, estimator.net.prior
+            if self.directions > (most := prior.basis_size):
+                raise InputError(f"--directions {self.directions}: beta of a {category.name} has {most}; give no more")
             results = evaluate(estimator, data.spread(category).views)
             if not results or results[0].estimate is None:
                 raise InputError(f"{self.source}: the first view shows too little of a {category.name}; try --seed")
             joints.append(sweep.joint_sweep(results[0].view, results[0].estimate, self.steps))
-            count = min(self.directions, prior.basis_size)
-            shapes.append(sweep.shape_sweep(prior, category, count, estimator.surfaces))
+            shapes.append(sweep.shape_sweep(prior, category, self.directions, estimator.surfaces))
         pictures = {"sweep-joints": sweep.draw_joints(joints), "sweep-shapes": sweep.draw_shapes(shapes)}
         both = zip(joints, shapes, strict=True)
         numbers = [{"joints": sweep.record_joints(a), "shapes": sweep.record_shapes(b)} for a, b in both]
