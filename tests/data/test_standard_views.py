@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -148,6 +149,25 @@ def test_the_bytes_do_not_depend_on_processes_or_interruptions(
         render_to_folder(models, CATEGORY, tmp_path / "twice", 8)
     assert len(drawn) == 5 + 4
     assert contents(tmp_path / "once") == contents(tmp_path / "two") == contents(tmp_path / "twice")
+
+
+@pytest.mark.parametrize(("views", "processes", "begun", "each"), [(10, 4, 4, 3), (3, 8, 3, 1), (100, 2, 2, 8)])
+def test_few_views_are_dealt_out_to_all_processes(views, processes, begun, each, tmp_path, monkeypatch):
+    class Pool(ThreadPoolExecutor):
+        def map(self, work, seeds, chunksize):  # pyright: ignore
+            asked.append(chunksize)
+            return super().map(work, seeds)
+
+    def helpers(count, begin, draw):
+        asked.append(count)
+        monkeypatch.setattr(view_folder, "_drawing", draw, raising=False)
+        return Pool(count)
+
+    asked, drawn = [], []
+    monkeypatch.setattr(view_folder, "helpers", helpers)
+    view_folder.draw_missing(drawn.append, lambda seed: tmp_path / "none", 2, views, 0, processes)
+    assert asked == [begun, each]
+    assert len(drawn) == views
 
 
 def test_more_views_can_be_added_but_other_settings_are_refused(models: list[ObjectModel], tmp_path: Path) -> None:

@@ -337,8 +337,8 @@ def _run(draw: Callable[[ViewSeed], None], seeds: list[ViewSeed], processes: int
     if processes <= 1 or len(seeds) < 2:
         yield from map(draw, seeds)
         return
-    with helpers(processes, _start_worker, draw) as pool:
-        yield from pool.map(_work, seeds, chunksize=8)
+    with helpers(min(processes, len(seeds)), _start_worker, draw) as pool:
+        yield from pool.map(_work, seeds, chunksize=min(8, -(-len(seeds) // processes)))
 
 
 def depth_scale_of(category: Category) -> float:
