@@ -111,6 +111,11 @@ def deployed(tmp_path_factory) -> Path:
     return deployed_in(tmp_path_factory.mktemp("deployed"), "laptop")
 
 
+@pytest.fixture(scope="module")
+def microwave(tmp_path_factory) -> Path:
+    return deployed_in(tmp_path_factory.mktemp("deployed"), "microwave")
+
+
 def views() -> list[omad.Observation]:
     """Clean ones, masks that are too wide, objects hidden to a half, and one of another category, which leaves the
     network unsure."""
@@ -174,10 +179,10 @@ def test_it_answers_as_the_estimator_does(deployed):
 @needs
 @pytest.mark.slow
 @pytest.mark.parametrize("other", [False, True])
-def test_objects_of_either_hand_are_answered_as_the_estimator_does(other, tmp_path):
+def test_objects_of_either_hand_are_answered_as_the_estimator_does(other, microwave):
     """Doors at the left and at the right: seen in a mirror, too, and given back as they are."""
     estimator = omad.Estimator.from_pretrained("microwave", "cpu")
-    program, category = program_file.Program(deployed_in(tmp_path, "microwave")), estimator.category
+    program, category = program_file.Program(microwave), estimator.category
     for index in range(3):
         model = generate(category, index, "test")
         view = standard_view(model.mirrored() if other else model, category, (0, index, 0))
