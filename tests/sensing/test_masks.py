@@ -155,6 +155,7 @@ def test_coco_run_lengths(tmp_path: Path) -> None:
     runs = np.diff([0, *ends, RING.size]).tolist()
     for counts in (RING_COUNTS, RING_COUNTS.encode(), runs):
         assert np.array_equal(as_mask({"size": [40, 60], "counts": counts}), RING)
+    assert np.array_equal(as_mask({"size": list(np.int32([40, 60])), "counts": runs}), RING)
     (tmp_path / "annotation.json").write_text(json.dumps({"id": 5, "segmentation": compressed}))
     assert np.array_equal(read_mask(tmp_path / "annotation.json"), RING)
 
@@ -256,6 +257,7 @@ def test_polygons() -> None:
         ({"size": [6, 9]}, "one annotation of a file"),
         ({"size": [6, 9], "counts": [50, 3]}, "run lengths"),
         ({"size": [6, 9], "counts": "W>7P12N"}, "run lengths"),
+        ({"size": [6, 9], "counts": [2**62, 2**62, 2**62, 2**62 + 54]}, "run lengths"),  # whose sum is 54 in 64 bits
         ({"size": [6, 9], "segmentation": [[1, 2, 3, 4]]}, "three corners"),
         ({"annotations": [], "images": []}, "size"),
         ({"annotations": [], "images": []}, '"annotations" holds none'),

@@ -4,6 +4,7 @@ COCO's run lengths are those of pycocotools (Lin et al., "Microsoft COCO", 2014)
 """
 
 from collections.abc import Mapping, Sequence
+from numbers import Integral
 from typing import Any
 
 import numpy as np
@@ -218,9 +219,9 @@ def _decoded(coco: Mapping[str, Any], mask_id: int | None) -> np.ndarray:
     if not isinstance(found, Mapping):
         found = {"polygons": found, "size": coco.get("size", ())}
     size = np.asarray(found.get("size", ()), dtype=object).ravel().tolist()
-    if len(size) != 2 or not all(isinstance(side, int) and side > 0 for side in size):
+    if len(size) != 2 or not all(isinstance(side, Integral) and side > 0 for side in size):
         raise InputError('mask: a COCO segmentation needs "size": [height, width], beside "counts" or "polygons"')
-    height, width = size
+    height, width = map(int, size)
     check_limit("image_pixels", height * width, "the mask")
     if "polygons" in found:
         return _filled(found["polygons"], height, width)
@@ -233,7 +234,9 @@ def decode_runs(counts: str | bytes | Sequence[int], height: int, width: int) ->
     """(H, W) bool of COCO run lengths, column by column, the first of what is not the object; as a list of numbers, or
     as the string that they are compressed to. Raises InputError where they do not fill the image."""
     runs = np.asarray(_decompressed(counts) if isinstance(counts, str | bytes) else counts)
-    if runs.dtype.kind not in "iu" or runs.ndim != 1 or runs.min(initial=0) < 0 or runs.sum() != height * width:
+    pixels = height * width  # of longer runs the sum may wrap round to it, and NumPy then writes out of bounds
+    possible = runs.dtype.kind in "iu" and runs.ndim == 1 and 0 <= runs.min(initial=0) <= runs.max(initial=0) <= pixels
+    if not possible or runs.sum() != pixels:
         raise InputError(f'mask: "counts" are no run lengths of {width}x{height} pixels; is "size" [height, width]?')
     return np.repeat(np.arange(len(runs)) % 2 == 1, runs).reshape(width, height).T
 
