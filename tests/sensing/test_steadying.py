@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from omad.geometry.camera import STANDARD_CAMERA
+from omad.geometry.lens import Distortion
 from omad.sensing.observation import Observation
 from omad.sensing.steadying import JUMP, REACH, steadied
 
@@ -24,6 +25,16 @@ def test_depth_is_the_mean_of_the_surface_around_it() -> None:
         around = depth[max(row - REACH, 0) : row + REACH + 1, max(column - REACH, 0) : column + REACH + 1]
         same = around[np.abs(around - depth[row, column]) < JUMP * depth[row, column]]
         assert np.isclose(point[2], same.mean(), rtol=1e-5)
+
+
+def test_points_of_which_a_lens_leaves_two_at_one_pixel_stay_points() -> None:
+    rng = np.random.default_rng(0)
+    depth = rng.choice(np.float32([0, 0.8, 1, 1.25]), (120, 160))
+    seen = Observation.from_depth(depth, (100, 100, 79.5, 59.5), distortion=Distortion("plumb_bob", (0.3, 0.1, 0, 0)))
+    assert seen.pixels is not None
+    assert len(np.unique(seen.pixels, axis=0)) < len(seen.pixels)
+    steady = steadied(seen)
+    assert np.isclose(steady.points[:, 2], seen.points[:, 2], rtol=1e-5).all()
 
 
 def test_a_cloud_has_no_neighbours() -> None:

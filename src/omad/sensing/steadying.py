@@ -38,5 +38,5 @@ def _mean_depth(depth, pixels, shape):
                 if abs(image[row, column] - depth[i]) < JUMP * depth[i]:
                     total += image[row, column]
                     count += 1
-        mean[i] = total / count
+        mean[i] = total / count if count else depth[i]  # of two points at one pixel, as a lens leaves them
     return mean
