@@ -127,6 +127,22 @@ def test_what_the_colour_camera_cannot_see_is_left_out():
     assert 0 < box.sum() < chosen.sum()
 
 
+@pytest.mark.filterwarnings("error")
+def test_what_is_infinitely_far_is_no_measurement_beside_a_colour_camera():
+    depth = np.full((480, 640), 1.5)
+    depth[:40] = np.inf
+    camera = ColourCamera(CameraFile(COLOR_K, None, (1280, 720)), rigid(T_COLOR_DEPTH))
+    assert not camera.depth_mask(depth, STANDARD_CAMERA, np.ones((720, 1280), bool), None)[:40].any()
+    assert not camera.seen_from_depth(depth, STANDARD_CAMERA, np.ones((720, 1280, 3), np.uint8))[:40].any()
+
+
+@pytest.mark.parametrize("end", [np.nan, np.inf, 1e6])
+def test_a_box_that_no_colour_image_holds_is_refused(end):
+    camera = ColourCamera(CameraFile(COLOR_K, None, None), np.eye(4))
+    with pytest.raises(InputError, match=r"^box: "):
+        camera.depth_mask(np.ones((4, 6)), STANDARD_CAMERA, None, (0, 0, end, 1e3))
+
+
 def test_extrinsics_are_read_from_files(tmp_path):
     T = rigid(T_COLOR_DEPTH)
     forms = {

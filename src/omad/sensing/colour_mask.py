@@ -6,7 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from omad.common.arrays import numbers
 from omad.common.errors import InputError
+from omad.common.limits import check_limit
 from omad.geometry.camera import Camera
 from omad.geometry.rigid import carry
 
@@ -31,8 +33,9 @@ class ColourCamera:
         self, depth: np.ndarray, camera: Camera, mask: np.ndarray | None, box: Sequence[float] | None
     ) -> np.ndarray:
         """(H, W) bool, the pixels of ``depth`` (H, W) metres whose points lie inside the colour image's ``mask``
-        and ``box`` and are seen by the colour camera. Raises InputError where the mask is of another size."""
-        chosen = depth > 0
+        and ``box`` and are seen by the colour camera. Raises InputError where the mask is of another size, and for a
+        box that no image holds."""
+        chosen = (depth > 0) & np.isfinite(depth)
         points = camera.backproject(np.argwhere(chosen)[:, ::-1], depth[chosen])
         chosen[chosen] = self._inside(points, self._region(mask, box), CELL / camera.fx)
         return chosen
@@ -44,7 +47,7 @@ class ColourCamera:
         if self.camera.size not in (None, (width, height)):
             told = "x".join(map(str, self.camera.size)) + "; give those of the colour image"
             raise InputError(f"--color is {width}x{height}, but --color-intrinsics are for {told}")
-        measured = depth > 0
+        measured = (depth > 0) & np.isfinite(depth)
         points = carry(self.T_color_depth, camera.backproject(np.argwhere(measured)[:, ::-1], depth[measured]))
         places = Camera.from_K(self.camera.K, width, height, self.camera.distortion).project(points)
         column, row = np.clip(np.nan_to_num(np.rint(places), nan=-1), -1, (width, height)).astype(int).T
@@ -63,7 +66,9 @@ class ColourCamera:
         elif self.camera.size is not None:
             width, height = self.camera.size
         else:  # no image to end at: the box itself does
-            width, height = (int(max(value, 1)) + 1 for value in (box or (0, 0, 1, 1))[2:])
+            ends = numbers((0, 0, 1, 1) if box is None else box, 4, what="box: x1, y1, x2, y2 in pixels")[2:]
+            width, height = (int(max(end, 1)) + 1 for end in ends)
+            check_limit("image_pixels", width * height, "box: the image that it lies in")
         return region_of((height, width), mask, box)
 
     def _inside(self, points: np.ndarray, region: np.ndarray, spacing: float) -> np.ndarray:
