@@ -23,3 +23,13 @@ def signals_that_count():
 def cache_of_its_own(tmp_path_factory, monkeypatch):
     """No test reads or writes the user's cache."""
     monkeypatch.setenv("OMAD_CACHE", str(tmp_path_factory.mktemp("cache")))
+
+
+@pytest.fixture
+def begun_quickly(monkeypatch):
+    """Helper processes are forked from one that has imported what they need; without this they begin from nothing."""
+    from helpers.warm import warm
+    from omad.common.processes import workers
+
+    context = warm()
+    monkeypatch.setattr(workers.multiprocessing, "get_context", lambda method: context)

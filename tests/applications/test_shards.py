@@ -12,12 +12,10 @@ import pytest
 
 from helpers.command_line import LAPTOP, K, answer, laptop_view, refused
 from helpers.shards import Squares
-from helpers.warm import warm
 from omad.applications.cluster import engines
 from omad.applications.cluster.engines import in_processes
 from omad.applications.cluster.shards import Plan, Report, run_shards
 from omad.common.errors import InputError, WorkError
-from omad.common.processes import workers
 from omad.data.shards.parquet import part_name
 from omad.data.shards.store import Store
 
@@ -104,13 +102,6 @@ def test_bad_input_ends_a_run_in_one_line_and_is_not_tried_again(tmp_path):
     assert whole.work.begun().count(4) == 1
     mended = plan(tmp_path / "out", Squares(tmp_path))
     assert_all_once(mended, run_shards(mended, {}, here))
-
-
-@pytest.fixture
-def begun_quickly(monkeypatch):
-    """Helper processes are forked from one that has imported what they need; elsewhere here they begin from nothing."""
-    context = warm()
-    monkeypatch.setattr(workers.multiprocessing, "get_context", lambda method: context)
 
 
 @pytest.fixture

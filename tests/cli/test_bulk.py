@@ -2,9 +2,6 @@
 
 import json
 import os
-import signal
-import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -13,6 +10,7 @@ import pytest
 from PIL import Image
 
 from helpers.command_line import LAPTOP, K, answer, laptop_view, refused, save_png
+from helpers.warm import Command
 from omad.cli.main import run
 
 
@@ -86,12 +84,12 @@ def test_what_is_wrong_for_all_is_said_at_once(capsys):
 def test_a_killed_run_goes_on_where_it_was(capsys):
     np.save("stack.npy", np.stack([np.roll(laptop_view().depth, i, 0) for i in range(40)]))
     arguments = ["bulk", "stack.npy", *LAPTOP, *K, "--batch", "2", "--output"]
-    process = subprocess.Popen([sys.executable, "-m", "omad", *arguments, "out.jsonl"])
+    process = Command([*arguments, "out.jsonl"])
     while not Path("out.jsonl.part").exists() or Path("out.jsonl.part").read_bytes().count(b"\n") < 3:
-        assert process.poll() is None
+        assert process.alive()
         time.sleep(0.01)
-    os.kill(process.pid, signal.SIGKILL)
-    process.wait()
+    process.kill()
+    process.end()
     assert not Path("out.jsonl").exists()
     assert "other inputs or settings" in refused(capsys, *arguments, "out.jsonl", "--depth-scale", "2")
     found = answer(capsys, *arguments, "out.jsonl")

@@ -155,6 +155,7 @@ def contents(folder: Path) -> dict[str, str]:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("begun_quickly")
 def test_the_bytes_do_not_depend_on_processes_or_interruptions(
     written: Callable[[Category], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

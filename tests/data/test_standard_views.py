@@ -124,6 +124,7 @@ def test_a_folder_holds_the_same_views(models: list[ObjectModel], tmp_path: Path
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("begun_quickly")
 def test_the_bytes_do_not_depend_on_processes_or_interruptions(
     models: list[ObjectModel], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

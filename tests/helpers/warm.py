@@ -35,6 +35,9 @@ class Command:
         self._process.start()
         said.close()
 
+    def alive(self) -> bool:
+        return self._process.is_alive()
+
     def kill(self) -> None:
         """It and its helpers, at once."""
         for kill in (os.killpg, os.kill):  # it may not be the head of a group yet
