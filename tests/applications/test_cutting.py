@@ -145,6 +145,8 @@ def test_an_answer_is_no_surer_than_that_the_thing_is_the_object() -> None:
     assert sure.estimate.probability <= found.likelihood
     assert unsure.doubtful
     assert unsure.estimate.probability == 0.3
+    served = solver.judged(replace(found, likelihood=0.3), sure.estimate, None, further=False)  # as a service asks
+    assert served.estimate.probability == 0.3
 
 
 def test_an_object_that_was_cut_out_already_is_found_in_the_frame_that_shows_it_alone() -> None:

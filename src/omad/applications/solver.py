@@ -78,8 +78,7 @@ class Solver:
         """``depth_scale``: metres per number that it was read with, where known. Raises InputError where there is no
         answer."""
         found = self._solve(observation, depth_scale)
-        estimate = no_surer(found.estimate, observation.likelihood)
-        return replace(found, estimate=estimate.to_surface() if self.to_surface and not found.none else estimate)
+        return replace(found, estimate=found.estimate.to_surface()) if self.to_surface and not found.none else found
 
     def _solve(self, observation: Observation, depth_scale: float | None) -> Found:
         if self.chosen is None:
@@ -87,7 +86,7 @@ class Solver:
             if not ranking.candidates:
                 raise InputError("is of none of the categories, at no size; check depth scale, mask and intrinsics")
             first = ranking.candidates[0]
-            best = no_surer(first.estimate, first.probability)
+            best = no_surer(first.estimate, min(first.probability, observation.likelihood))
             return Found.of(best, doubts(observation, best, depth_scale), ranking, ranking.is_none)
         return self.judged(observation, self.chosen(observation, self.known), depth_scale)
 
@@ -95,14 +94,15 @@ class Solver:
         self, observation: Observation, estimate: Estimate, depth_scale: float | None, further: bool = True
     ) -> Found:
         """An ``estimate`` by the category asked for, with what to doubt of it; ``further``: also by estimates with
-        other focal lengths and other categories. Raises InputError where it is no answer."""
-        chosen, ranking = self.chosen, None
+        other focal lengths and other categories. It is no surer than that the observation is of the object. Raises
+        InputError where it is no answer."""
+        chosen, ranking, answer = self.chosen, None, no_surer(estimate, observation.likelihood)
         assert chosen is not None
         checks = doubts(observation, estimate, depth_scale)
         if not estimate.is_finite:
             raise InputError(f"no answer: {checks[0]}")
         if not further:
-            return Found.of(estimate, checks)
+            return Found.of(answer, checks)
         checks += gravity_doubts(observation, estimate, self.known, chosen)
         if all(check.name == "residual" for check in checks):  # which a wrong focal length may explain, too
             checks += camera_doubts(observation, estimate, lambda views: chosen(views, self.known))
@@ -110,7 +110,7 @@ class Solver:
         if (checks and not odd_size) or self.compare:
             ranking = rank(observation, self.all, self.known, always=[chosen.category.name])
             checks += suspected(estimate, ranking)
-        return Found.of(estimate, checks, ranking)
+        return Found.of(answer, checks, ranking)
 
     def together(self, views: Sequence[Observation], poses: Sequence[Any], depth_scale: float | None) -> list[Found]:
         """Views of one object, by the category asked for; ``poses`` (4, 4) T_world_camera of each."""
