@@ -86,6 +86,14 @@ def test_whitened_distance_counts_the_priors_standard_deviations():
     np.testing.assert_allclose(space.factor @ np.diag(spread), np.eye(SIZE), atol=1e-6)
 
 
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs CUDA")
+@pytest.mark.parametrize("metric", ["keypoints", "whitened"])
+def test_a_prior_on_an_accelerator_compares_alike(metric):
+    here, there = Space.of(prior(), LAPTOP, metric), Space.of(prior().to("cuda"), LAPTOP, metric)
+    assert there.prior == here.prior
+    np.testing.assert_allclose(np.abs(there.factor), np.abs(here.factor), rtol=1e-5, atol=1e-9)
+
+
 def test_search_by_information_ignores_what_the_query_does_not_know():
     index, betas = filled()
     covariance = np.eye(SIZE) * 1e-4

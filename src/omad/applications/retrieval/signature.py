@@ -69,11 +69,11 @@ class Space:
         paper; ``whitened``: in standard deviations of beta over the prior's training objects."""
         size = prior.basis_size
         if metric == "keypoints":
-            basis = prior.basis.detach().double().reshape(-1, size).numpy()
+            basis = as_doubles(prior.basis).reshape(-1, size)
             # |B d| = |R d|, with R of B = QR: as many numbers as beta has, instead of three a keypoint
             factor = np.linalg.qr(basis).R * category.metres_per_unit / np.sqrt(category.num_keypoints)
         elif metric == "whitened":
-            factor = np.linalg.inv(np.linalg.cholesky(prior.beta_covariance.double().numpy()))
+            factor = np.linalg.inv(np.linalg.cholesky(as_doubles(prior.beta_covariance)))
         else:
             factor = np.eye(size)
         return cls(prior_fingerprint(prior, category), category.name, metric, factor)
