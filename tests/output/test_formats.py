@@ -28,10 +28,11 @@ from omad.estimation.part_labels import LabelledPoints
 from omad.model.fitting.posed_object import PosedObject
 from omad.objects.category_file import get_category
 from omad.objects.pose import ObjectPose
-from omad.output.formats import NEED
+from omad.output.formats import NEED, check_formats
 from omad.output.gltf import save_glb
 from omad.output.ply import part_surfaces, save_ply
 from omad.output.rerun import save_rrd
+from omad.output.robots.mjcf import save_mjcf
 from omad.output.robots.robot import Robot, link_frames
 from omad.output.robots.urdf import save_robot
 from omad.output.ros import ros_messages
@@ -134,6 +135,8 @@ def test_twist_is_the_velocity_of_a_waypoint(estimate):
         (("part_1", np.zeros(2), 0.1), "shape"),
         (("part_1", np.zeros(3), np.nan), "to_state"),
         (("part_1", np.zeros(3), 0.1, 0), "steps"),
+        (("part_1", [0.0, np.nan, 1.0], 0.1), "point: "),
+        (("part_1", np.zeros(3), 0.1, 2, np.zeros((4, 4))), "T_world_camera: "),
     ],
 )
 def test_bad_waypoints_are_refused(arguments, message):
@@ -240,6 +243,23 @@ def test_ros_transforms_chain_to_the_links(estimate):
         assert np.allclose(frames[part.name], frame)
     assert messages["joint_state"]["name"] == [joint.name for joint in estimate.joints]
     assert messages["joint_state"]["position"] == [joint.state for joint in estimate.joints]
+
+
+def test_the_keyframe_gives_each_joint_its_own_state(tmp_path):
+    """MuJoCo has joints in another order where a part hangs on one before its neighbour."""
+    mujoco = pytest.importorskip("mujoco", reason="MuJoCo is an extra: pip install 'omad[mujoco]'")
+    estimate = made_up((0, 0, 1), ("prismatic", "revolute", "revolute"))
+    save_mjcf(Robot.of(estimate, "robot"), tmp_path / "robot.xml")
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "robot.xml"))
+    told = {model.joint(number).name: state for number, state in enumerate(model.key_qpos[0])}
+    assert told == pytest.approx({joint.name: joint.state for joint in estimate.joints})
+
+
+def test_what_usd_cannot_say_is_told_before_anything_is_done():
+    pytest.importorskip("pxr", reason="USD is an extra: pip install 'omad[usd]'")
+    check_formats(["usd"], get_category("laptop"))
+    with pytest.raises(omad.InputError, match="thread turns and slides at once"):
+        check_formats(["urdf", "usd"], get_category("jar"))
 
 
 @pytest.fixture(scope="module")

@@ -13,11 +13,12 @@ from typing import Any, Self
 
 import numpy as np
 
-from omad.common.arrays import as_numpy
+from omad.common.arrays import numbers
 from omad.common.errors import InputError
 from omad.common.files import write_json
 from omad.geometry.joint_kinds import Motion
 from omad.geometry.mesh import Mesh, convex_hull
+from omad.geometry.rigid import is_rotation
 from omad.geometry.transforms import MIRROR_X
 from omad.model.fitting.posed_object import PosedObject
 from omad.model.surfaces.bank import train_command
@@ -320,10 +321,10 @@ class Estimate(PoseEstimate):
         ``point`` (3,), NumPy or torch, is where it is now, in the camera frame, or in the world frame where
         ``T_world_camera`` (4, 4) is given. Returns (steps, 3) in the same frame, the first one ``point`` itself.
         Only this one joint moves; joints above it in the tree stay where they are.
-        Raises InputError for a part that does not move and for wrong shapes.
+        Raises InputError for a part that does not move, for wrong shapes and for what is not finite.
         """
         start = np.eye(4)
-        start[:3, 3] = _checked("point", point, (3,))
+        start[:3, 3] = numbers(point, 3, what="point")
         return self.waypoint_poses(part, start, to_state, steps, T_world_camera)[:, :3, 3]
 
     def waypoint_poses(
@@ -339,8 +340,10 @@ class Estimate(PoseEstimate):
             raise InputError(f"steps: {steps} is too few; give at least 1")
         if not np.isfinite(to_state):
             raise InputError(f"to_state: {to_state} is no state; give radians or metres")
-        start = _checked("T_camera_handle", T_camera_handle, (4, 4))
-        T_world = np.eye(4) if T_world_camera is None else _checked("T_world_camera", T_world_camera, (4, 4))
+        start = numbers(T_camera_handle, 4, 4, what="T_camera_handle")
+        T_world = np.eye(4) if T_world_camera is None else numbers(T_world_camera, 4, 4, what="T_world_camera")
+        if not is_rotation(T_world[:3, :3]):
+            raise InputError("T_world_camera: is no rotation and translation; correct it")
         joint = self.joints[names.index(part) - 1]
         low, high = joint.limits
         if not 2 * low - high <= to_state <= 2 * high - low:
@@ -352,13 +355,6 @@ class Estimate(PoseEstimate):
 def chance(probability: float) -> str:
     """A probability as a person reads it; nothing is quite sure."""
     return f"{min(max(probability, 0.01), 0.99):.0%}"
-
-
-def _checked(name: str, values: Any, shape: tuple[int, ...]) -> np.ndarray:
-    array = as_numpy(values)
-    if array.shape != shape:
-        raise InputError(f"{name}: shape {array.shape} is wrong; give {shape}")
-    return array.astype(np.float64)
 
 
 def plain(value: Any) -> Any:
