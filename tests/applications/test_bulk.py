@@ -206,6 +206,16 @@ def test_parquet_gives_what_single_images_give(stored):
     assert refused == [None] * 5
 
 
+def test_images_of_a_parquet_file_may_stand_beside_their_size(stored):
+    """Which pixels without a shape of their own need, in the column beside."""
+    parquet, table = pytest.importorskip("pyarrow.parquet"), pytest.importorskip("pyarrow").table
+    png = [(stored / "mask" / "0.png").read_bytes()]
+    views = {"depth": [depths()[0].tobytes()], "mask": png, "height": [480], "width": [640]}
+    parquet.write_table(table(views), stored / "views.parquet")
+    [frame] = open_sources([stored / "views.parquet"], READING).after(0)
+    assert np.array_equal(frame.load().points, observation(0, masked=True).points)
+
+
 def test_the_number_of_an_object_needs_a_mask_in_every_row(stored):
     """Or one for rows without."""
     parquet, table = pytest.importorskip("pyarrow.parquet"), pytest.importorskip("pyarrow").table

@@ -143,9 +143,10 @@ def _image(
             array = numbers.to_numpy(zero_copy_only=False)
         else:
             stored = value.as_py()
-            if shape is None:
+            each, rest = (0, 0) if shape is None else divmod(len(stored), shape[0] * shape[1])
+            if rest or each not in RAW:  # a file's, of an image whose size other columns may tell, too
                 return parse(stored)
-            array = np.frombuffer(stored, RAW[len(stored) // (shape[0] * shape[1])])
+            array = np.frombuffer(stored, RAW[each])
         if shape is None:
             raise ValueError("columns height and width are needed for a flat list")
         return array.reshape(shape)
