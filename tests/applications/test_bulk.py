@@ -288,6 +288,22 @@ def written(path: Path, outcomes: list[stream.Outcome], cut: int) -> list[dict]:
     return pytest.importorskip("pyarrow.parquet").read_table(path).to_pylist()
 
 
+def test_two_runs_do_not_write_the_same_results(tmp_path):
+    path, outcomes = tmp_path / "results.jsonl", [stream.Outcome(name, None, "it was dark") for name in "abc"]
+    early, late = Results.open(path, {}), Results.open(path, {})
+    one = iter(early.add(outcomes))
+    next(one)
+    with pytest.raises(InputError, match="another run is writing"):
+        Results.open(path, {})
+    with pytest.raises(InputError, match="another run is writing"):
+        list(late.add(outcomes))
+    list(one)
+    with pytest.raises(InputError, match="another run has added rows"):
+        list(late.add(outcomes))
+    early.finish()
+    assert [json.loads(line)["name"] for line in path.read_text().splitlines()] == list("abc")
+
+
 @pytest.mark.parametrize("suffix", [".jsonl", ".parquet"])
 def test_results_go_on_where_they_stopped(tmp_path, suffix):
     if suffix == ".parquet":

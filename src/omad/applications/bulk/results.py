@@ -1,7 +1,8 @@
 """A file of results, a row an image, that goes on where it was interrupted.
 
 Rows are appended to ``OUTPUT.part``; the file gets its name when all are there. ``OUTPUT.run`` beside it says what the
-part is made of, so that no other run goes on with it.
+part is made of, so that no other run goes on with it. The part is locked while rows are added: the same command, given
+a second time meanwhile, is refused.
 """
 
 import json
@@ -9,12 +10,13 @@ from collections.abc import Iterable
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Self
+from typing import IO, Any, Self
 
 from omad.common.batches import batched
 from omad.common.errors import InputError
 from omad.common.files import make_folder, write_atomic, write_json, writing
 from omad.common.incoming import read_json
+from omad.common.processes.locks import try_lock
 from omad.data.shards.parquet import import_pyarrow
 from omad.estimation.estimate import Estimate, plain
 from omad.estimation.joint_estimate import INTERVALS
@@ -64,12 +66,14 @@ class Results:
     """Of these, without an estimate."""
     last: str | None = None
     """Name of the last one's image."""
+    size: int = 0
+    """Bytes of these rows."""
 
     @classmethod
     def open(cls, path: Path, made_of: dict[str, Any], batch: int = 1) -> Self:
         """Begin, or go on with what a run ``made_of`` the same (plain values) left: with whole batches of ``batch``
-        rows, as rounding depends on what is worked on together. Raises InputError where there are other results, or the
-        file's format is unknown."""
+        rows, as rounding depends on what is worked on together. Raises InputError where there are other results, where
+        another run is at it, or the file's format is unknown."""
         if path.suffix not in (LINES, SUFFIX):
             raise InputError(f"--output {path}: give a name that ends in {LINES} or {SUFFIX}")
         if path.suffix == SUFFIX:
@@ -99,32 +103,37 @@ class Results:
         return self.path.with_name(f"{self.path.name}.run")
 
     def add(self, outcomes: Iterable[Outcome]) -> Iterable[Outcome]:
-        """The same outcomes, each of them written before it is handed on."""
+        """The same outcomes, each of them written before it is handed on. Raises InputError where another run is at it,
+        or was since this one began."""
         with writing(self.part):
             file = self.part.open("ab")
         with closing(file):
+            self._lock(file)
+            if file.tell() != self.size:
+                raise InputError(f"{self.part}: another run has added rows; run this one again")
             for outcome in outcomes:
                 with writing(self.part):
                     file.write(json.dumps(row(outcome)).encode() + b"\n")
                     file.flush()  # what is done is on disk, whatever ends this process
+                self.size = file.tell()
                 self.done += 1
                 self.refused += outcome.estimate is None
                 yield outcome
 
     def finish(self) -> None:
         """Give the file its name."""
-        self.part.touch()
         if self.path.suffix == LINES:
             self.part.replace(self.path)
         else:
             write_atomic(self.path, self._write_parquet)
-            self.part.unlink()
-        self.run.unlink()
+            self.part.unlink(missing_ok=True)
+        self.run.unlink(missing_ok=True)
 
     def _resume(self, batch: int) -> None:
         """Take the whole batches that are there; the last line may be half written."""
-        kept = place = count = refused = 0
-        with self.part.open("rb") as file:
+        place = count = refused = 0
+        with self.part.open("r+b") as file:
+            self._lock(file)
             for line in file:
                 try:
                     found = json.loads(line) if line.endswith(b"\n") else None
@@ -134,9 +143,13 @@ class Results:
                     break
                 place, count, refused = place + len(line), count + 1, refused + (found["refused"] is not None)
                 if count % batch == 0:
-                    kept, self.done, self.refused, self.last = place, count, refused, found["name"]
-        with self.part.open("r+b") as file:
-            file.truncate(kept)
+                    self.size, self.done, self.refused, self.last = place, count, refused, found["name"]
+            file.truncate(self.size)
+
+    def _lock(self, file: IO[bytes]) -> None:
+        """As long as the part's ``file`` is open."""
+        if not try_lock(file.fileno()):
+            raise InputError(f"{self.part}: another run is writing it; wait for its end, or give another --output")
 
     def _write_parquet(self, path: Path) -> None:
         pyarrow, schema = import_pyarrow(), row_schema()
