@@ -47,6 +47,18 @@ def test_points_are_chosen_as_the_estimator_chooses_them():
 
 
 @needs
+@pytest.mark.parametrize("more", [[], ["--intrinsics", "1,1,0,0"]])
+def test_what_is_no_array_is_said_in_one_line(more, tmp_path, monkeypatch, capsys):
+    (tmp_path / "empty.npy").touch()
+    np.savez(tmp_path / "several.npz", points=np.ones((60, 3)))
+    for name in ("empty.npy", "several.npz"):
+        monkeypatch.setattr(sys, "argv", ["estimate.py", str(tmp_path / name), *more])
+        assert program_file.main() == 2
+        [line] = capsys.readouterr().err.splitlines()
+        assert line.startswith(f"{tmp_path / name}: ")
+
+
+@needs
 def test_zeros_are_no_points_and_millimetres_are_refused(monkeypatch):
     program = object.__new__(program_file.Program)
     program.numbers = {"least_points": 50, "either_hand": False}

@@ -369,6 +369,12 @@ def back_projected(depth: np.ndarray, intrinsics: list[float], mask: np.ndarray 
     return np.stack([(u - cx) / fx * z, (v - cy) / fy * z, z], 1)
 
 
+def read_array(path: str) -> np.ndarray:
+    """Of an .npy file. Raises OSError, and ValueError for what is none, as an .npz."""
+    with open(path, "rb") as file:
+        return np.lib.format.read_array(file, allow_pickle=False)
+
+
 def main() -> int:
     """Print the answer as JSON."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -377,13 +383,13 @@ def main() -> int:
     parser.add_argument("--mask", help=".npy: (H, W), not zero on the object")
     options = parser.parse_args()
     try:
-        points = np.load(options.input, allow_pickle=False)
+        points = read_array(options.input)
         if options.intrinsics:
-            mask = np.load(options.mask, allow_pickle=False) if options.mask else None
+            mask = read_array(options.mask) if options.mask else None
             points = back_projected(points, [float(number) for number in options.intrinsics.split(",")], mask)
         answer = asdict((program := Program())(points))
     except (OSError, ValueError) as error:
-        print(error, file=sys.stderr)
+        print(f"{options.input}: {error}", file=sys.stderr)
         return 2
     record = {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in answer.items()}
     print(json.dumps({"category": program.numbers["category"], "joints": program.numbers["joints"], **record}))
