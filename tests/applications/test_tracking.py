@@ -16,6 +16,7 @@ from sequences import SequenceConfig, SequenceFrame, render_sequence
 import omad
 from helpers.headless_browser import HeadlessBrowser
 from omad.applications.tracking import page
+from omad.applications.tracking.frames import read_times
 from omad.applications.tracking.motion import MotionConfig, MotionFilter, Placement
 from omad.applications.tracking.sequence import TrackedSequence
 from omad.applications.tracking.shape_belief import ShapeBelief, ShapeConfig
@@ -211,6 +212,15 @@ def test_tracker_wants_rising_times():
     assert tracker(None, 0.0).status == "lost"
     with pytest.raises(InputError, match="frame"):
         tracker(None, 0.0)
+    assert type(tracker(None, np.float32(0.5)).time) is float
+    for wrong in ("1", None, np.nan):
+        with pytest.raises(InputError, match="must be seconds"):
+            tracker(None, wrong)
+
+
+def test_a_table_of_times_may_hold_empty_lines(tmp_path):
+    (tmp_path / "times.csv").write_text("name,seconds\n\na,1\nb,2.5\n\n")
+    assert read_times(tmp_path / "times.csv") == {"a": 1.0, "b": 2.5}
 
 
 def test_a_person_reads_degrees_and_centimetres():

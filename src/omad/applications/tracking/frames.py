@@ -115,6 +115,8 @@ def read_times(path: Path) -> dict[str, float]:
     """Seconds by file name from a CSV of lines ``name,seconds``; a head line is skipped. Raises InputError."""
     times: dict[str, float] = {}
     for number, row in enumerate(read_rows(path), 1):
+        if not row:
+            continue
         try:
             times[row[0].strip()] = seconds_of(row[1])
         except (IndexError, ValueError) as error:

@@ -11,6 +11,7 @@ cold starts until two consecutive ones agree; at first one that is surely right 
 """
 
 from dataclasses import dataclass, replace
+from numbers import Real
 from typing import Any, Literal, Self
 
 import numpy as np
@@ -136,8 +137,9 @@ class Tracker:
     def __call__(self, observation: Observation | None, time: float, known: Known = NOTHING_KNOWN) -> TrackedEstimate:
         """The next frame at ``time`` in seconds; None where it shows nothing. ``known``: of the object in this frame's
         camera, gravity say. Raises InputError for a time that does not come after the last one."""
-        if not isinstance(time, int | float) or not abs(time) < LATEST:
+        if not isinstance(time, Real) or not abs(time) < LATEST:
             raise InputError(f"time {shown(repr(time))}: must be seconds")
+        time = float(time)
         if not time > self._time:
             raise InputError(f"time {time} s: must come after the last frame's, {self._time} s; sort the frames")
         if observation is not None:
