@@ -1,8 +1,12 @@
 """What all tests share."""
 
+import inspect
 import signal
+from functools import cache
 
 import pytest
+
+inspect.getsource = cache(inspect.getsource)  # which tyro asks for anew with every command line
 
 
 def pytest_collection_modifyitems(items):
