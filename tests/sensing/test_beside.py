@@ -73,7 +73,8 @@ def test_a_camera_beside_an_image_is_read(capsys):
     assert run(["estimate", "depth.png", *LAPTOP, "--intrinsics", "500,500,319.5,239.5"]) == 0
     assert "camera.json tells 600" in capsys.readouterr().err
     Path("depth.json").write_text(json.dumps(told | {"width": 1280, "height": 720}))  # the image's own comes first
-    assert "1280x720" in refused(capsys, "estimate", "depth.png", *LAPTOP)
+    told = refused(capsys, "estimate", "depth.png", *LAPTOP)
+    assert "depth.png: is 640x480, but the camera of depth.json is for 1280x720; give --intrinsics" in told
 
 
 def test_a_scale_beside_an_image_is_of_its_integers():

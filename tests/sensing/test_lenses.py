@@ -99,6 +99,7 @@ def test_lenses_are_read_from_files(tmp_path):
         "f.yaml": (f"k: {flat}\nd: {listed[:4]}\ndistortion_model: equidistant\n", "equidistant"),
         "g.json": (json.dumps({**realsense, "model": "none"}), None),
         "h.json": (json.dumps({**realsense, "coeffs": [0] * 5, "model": "Brown Conrady"}), None),
+        "i.json": (json.dumps({**realsense, "model": None}), "plumb_bob"),
     }
     for name, (content, model) in forms.items():
         (tmp_path / name).write_text(content)

@@ -194,7 +194,7 @@ def _find_intrinsics(data: Any, name: str | Path) -> np.ndarray:
 
 def _find_distortion(data: dict[str, Any]) -> Distortion | None:
     """The lens that a file tells of; None for none, or for coefficients that are all zero."""
-    model = _model_name(data.get("model", data.get("distortion_model", "")))
+    model = _model_name(next((data[key] for key in ("model", "distortion_model") if data.get(key) is not None), ""))
     listed = next((data[key] for key in ("coeffs", "D", "d", "distortion_coefficients") if key in data), None)
     if listed is None and "k1" in data:
         if model is None and "k4" in data and "p1" not in data:

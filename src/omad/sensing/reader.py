@@ -34,6 +34,7 @@ from .observation import Observation
 
 KNOWN = sorted({*DEPTH_FORMATS, *CLOUD_FORMATS} - {".txt"})
 """Extensions of inputs in a folder, where a text file is no cloud but a note."""
+INTRINSICS = "--intrinsics"
 NEED_INTRINSICS = "a depth image needs --intrinsics fx,fy,cx,cy or a file with them (camera.json beside it is read)"
 APART = 0.01
 """Share by which a scale or a focal length given differs from the one that a file beside the image tells."""
@@ -107,7 +108,8 @@ class InputReader:
         if self.color is None and self.colour is None and color is not None and color.shape[:2] != depth.shape:
             warnings = [f"{beside.color} does not lie on the depth image, and is not shown; give --color-intrinsics"]
             color = None
-        seen = self.observe(depth, mask, self.camera or beside.camera, color)
+        camera, told_by = (beside.camera, str(beside.camera_file)) if self.camera is None else (self.camera, INTRINSICS)
+        seen = self.observe(depth, mask, camera, color, told_by)
         return seen.warned(*self._contradicted(file, beside), *warnings)
 
     def _mask(self, file: Path, beside: Beside) -> np.ndarray | None:
@@ -148,16 +150,18 @@ class InputReader:
         mask: np.ndarray | None,
         camera: CameraFile | None = None,
         color: np.ndarray | None = None,
+        told_by: str = INTRINSICS,
     ) -> Observation:
         """A depth image (H, W) in metres that was read already, with its mask and colours; ``camera``: its own, in
-        place of that of all. A mask that is not of booleans may be a label image. Raises InputError."""
+        place of that of all, and ``told_by`` what or whom. A mask that is not of booleans may be a label image. Raises
+        InputError."""
         camera, box = camera or self.camera, self.box
         if camera is None:
             raise InputError(NEED_INTRINSICS)
         height, width = depth.shape
         if camera.size not in (None, (width, height)):
-            told = "x".join(map(str, camera.size)) + "; give those of the depth stream at this size"
-            raise InputError(f"is {width}x{height}, but its --intrinsics are for {told}")
+            told = "x".join(map(str, camera.size)) + "; give --intrinsics of the depth stream at this size"
+            raise InputError(f"is {width}x{height}, but the camera of {told_by} is for {told}")
         lens = camera.distortion if self.distortion is None else parse_distortion(self.distortion)
         whole = Camera.from_K(camera.K, width, height, lens)
         if mask is not None and mask.dtype != bool:
