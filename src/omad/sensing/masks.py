@@ -4,7 +4,6 @@ COCO's run lengths are those of pycocotools (Lin et al., "Microsoft COCO", 2014)
 """
 
 from collections.abc import Mapping, Sequence
-from numbers import Integral
 from typing import Any
 
 import numpy as np
@@ -219,7 +218,7 @@ def _decoded(coco: Mapping[str, Any], mask_id: int | None) -> np.ndarray:
     if not isinstance(found, Mapping):
         found = {"polygons": found, "size": coco.get("size", ())}
     size = np.asarray(found.get("size", ()), dtype=object).ravel().tolist()
-    if len(size) != 2 or not all(isinstance(side, Integral) and side > 0 for side in size):
+    if len(size) != 2 or not all(isinstance(side, int | np.integer) and side > 0 for side in size):
         raise InputError('mask: a COCO segmentation needs "size": [height, width], beside "counts" or "polygons"')
     height, width = map(int, size)
     check_limit("image_pixels", height * width, "the mask")
