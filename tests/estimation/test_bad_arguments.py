@@ -72,7 +72,8 @@ def test_what_is_known_may_be_an_array_of_any_layout_and_precision(form):
     assert np.array_equal(found.T_camera_base, expected.T_camera_base)
 
 
-@pytest.mark.parametrize("settings", [{"samples": ()}, {"samples": (0,)}, {"batch": 0}, {"near_samples": 10**9}])
+@pytest.mark.parametrize("settings", [{"samples": ()}, {"samples": (0,)}, {"batch": 0}, {"near_samples": 10**9},
+                                      {"seed": -1}, {"seed": 2**64}])  # fmt: skip
 def test_settings_that_cannot_be_are_refused(settings):
     with pytest.raises(InputError, match="EstimatorConfig"):
         EstimatorConfig(**settings)

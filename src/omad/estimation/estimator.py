@@ -81,8 +81,8 @@ class EstimatorConfig:
         if not samples or not all(isinstance(count, Integral) and 1 <= count <= MOST for count in counts):
             raise InputError(f"EstimatorConfig: samples, near_samples and batch are numbers from 1 to {MOST}")
         object.__setattr__(self, "samples", samples)  # hashable
-        if not isinstance(self.seed, Integral) or self.seed < 0:
-            raise InputError("EstimatorConfig: seed is a whole number from 0")
+        if not isinstance(self.seed, Integral) or not 0 <= self.seed < 2**64:
+            raise InputError("EstimatorConfig: seed is a whole number from 0, below 2^64")
 
     @classmethod
     def fast(cls) -> Self:
