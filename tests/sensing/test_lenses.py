@@ -140,6 +140,14 @@ def test_coefficients_of_a_lens_may_have_names(tmp_path):
         read_camera(file)
 
 
+def test_coefficients_may_be_any_list_of_numbers():
+    assert Distortion("plumb_bob", np.float32([0.5, 0.25, 0, 0])) == Distortion("plumb_bob", (0.5, 0.25, 0.0, 0.0))
+    assert len({Distortion("plumb_bob", [0.5, 0, 0, 0]), Distortion("plumb_bob", (0.5, 0, 0, 0))}) == 1
+    for wrong in (("a",), None, ((1, 2), (3,)), [[0.1]], [np.inf], 0.1):
+        with pytest.raises(InputError, match="give at most 8 finite numbers"):
+            Distortion("plumb_bob", wrong)
+
+
 def test_lenses_are_read_from_the_command_line():
     assert parse_distortion("none") is None
     assert parse_distortion("0.1,-0.2,0,0,0.05") == Distortion("plumb_bob", (0.1, -0.2, 0, 0, 0.05))

@@ -2,6 +2,7 @@
 method). Rays and places are (x, y) = (X / Z, Y / Z): pixels without focal length and principal point."""
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 
@@ -32,9 +33,12 @@ class Distortion:
     def __post_init__(self) -> None:
         if self.model not in MODELS:
             raise InputError(f"distortion model {self.model!r}: is unknown; known ones are {', '.join(MODELS)}")
-        given, size = np.asarray(self.coefficients, dtype=np.float64), MODELS[self.model][1]
+        given, size = np.array(np.nan), MODELS[self.model][1]
+        with suppress(TypeError, ValueError):  # of texts and of ragged lists
+            given = np.asarray(self.coefficients, dtype=np.float64)
         if given.ndim != 1 or not np.isfinite(given).all() or given[size:].any():
             raise InputError(f"distortion {self.model}: {self.coefficients}: give at most {size} finite numbers")
+        object.__setattr__(self, "coefficients", tuple(given.tolist()))  # hashable
 
     def distort(self, rays: np.ndarray) -> np.ndarray:
         """Where rays (N, 2) are seen (N, 2)."""
