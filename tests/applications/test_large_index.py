@@ -67,6 +67,12 @@ def test_it_answers_as_the_exact_search_does_while_it_grows(tmp_path, small_part
     assert len(index.manifest.lists) <= np.log2(9000 / 700) + 1
 
 
+def test_one_without_entries_answers_nothing(tmp_path):
+    asked = query(betas(1)[0], np.eye(SIZE))
+    for by_information in (False, True):
+        assert LargeIndex.create(tmp_path, SPACE).search_objects(asked, 3, by_information) == []
+
+
 def test_lists_joined_on_disk_hold_what_the_parts_held(tmp_path):
     """Any order of joining gives the search the same vectors: with every list looked at it is exact."""
     vectors = betas(3000)

@@ -104,7 +104,8 @@ class LargeIndex:
     def betas_of(self, rows: np.ndarray) -> np.ndarray:
         """(n, D) of rows (n,)."""
         parts = np.searchsorted(self._starts, rows, side="right") - 1
-        return np.array([self._parts[p].betas[row - self._starts[p]] for p, row in zip(parts, rows, strict=True)])
+        found = [self._parts[p].betas[row - self._starts[p]] for p, row in zip(parts, rows, strict=True)]
+        return np.array(found).reshape(-1, len(self.space.factor))
 
     def search(self, signature: Signature, count: int = 10, by_information: bool = False) -> list[Hit]:
         """As ``ShapeIndex.search``, nearly always; ``by_information`` among the ``RANKED_AGAIN`` nearest."""
