@@ -40,15 +40,17 @@ def _spec(mujoco: Any, robot: Robot) -> Any:
     base = robot.T_root_link[0]
     quaternion = Rotation.from_matrix(base[:3, :3]).as_quat(scalar_first=True)
     links = [spec.worldbody.add_body(name=model.part_names[0], pos=base[:3, 3], quat=quaternion)]
-    states = []
+    states: list[list[float]] = []
     for joint, (name, parent, offset) in enumerate(
         zip(model.part_names[1:], model.tree.parents, robot.offsets, strict=True)
     ):
         links.append(links[parent].add_body(name=name, pos=offset))
-        states += _add_joint(mujoco, spec, links[-1], robot, joint)
+        states.append(_add_joint(mujoco, spec, links[-1], robot, joint))
     for part, link in enumerate(links):
         _add_shapes(mujoco, spec, link, robot, part)
-    spec.add_key(name="estimate", qpos=states)
+    # MuJoCo numbers a link's children, and theirs, before the next link
+    order = sorted(range(len(states)), key=lambda joint: model.tree.path(joint + 1))
+    spec.add_key(name="estimate", qpos=[state for joint in order for state in states[joint]])
     spec.compile()
     return spec
 
