@@ -28,7 +28,7 @@ from omad.estimation.part_labels import LabelledPoints
 from omad.model.fitting.posed_object import PosedObject
 from omad.objects.category_file import get_category
 from omad.objects.pose import ObjectPose
-from omad.output.formats import NEED
+from omad.output.formats import NEED, check_formats
 from omad.output.gltf import save_glb
 from omad.output.ply import part_surfaces, save_ply
 from omad.output.rerun import save_rrd
@@ -253,6 +253,13 @@ def test_the_keyframe_gives_each_joint_its_own_state(tmp_path):
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "robot.xml"))
     told = {model.joint(number).name: state for number, state in enumerate(model.key_qpos[0])}
     assert told == pytest.approx({joint.name: joint.state for joint in estimate.joints}, abs=1e-5)
+
+
+def test_what_usd_cannot_say_is_told_before_anything_is_done():
+    pytest.importorskip("pxr", reason="USD is an extra: pip install 'omad[usd]'")
+    check_formats(["usd"], get_category("laptop"))
+    with pytest.raises(omad.InputError, match="thread turns and slides at once"):
+        check_formats(["urdf", "usd"], get_category("jar"))
 
 
 @pytest.fixture(scope="module")

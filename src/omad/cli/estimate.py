@@ -102,6 +102,7 @@ class EstimateCommand(CategoryCommand):
             raise InputError("--to-surface: each of several views would go its own way; leave it or --together out")
         own = None if auto and self.weights is None else self.estimator(self.fast)
         chosen = None if auto else own
+        check_formats(self.formats, chosen and chosen.category)
         every = partial(_all_categories, own, self.device, self.fast)
         solver = Solver(chosen, every, known, self.compare, self.to_surface)
         reader = replace(reader, find=solver.find)

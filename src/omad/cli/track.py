@@ -106,6 +106,7 @@ class Track(CategoryCommand):
         frames = self._frames(stream)
         keep_freed_memory()
         estimator = self.estimator(self.fast)
+        check_formats(self.formats, estimator.category)
         beside = None if self.frames is None or stream else self.frames / "truth.csv"
         path = self.truth or (beside if beside is not None and beside.is_file() else None)
         truth = read_truth(path, tuple(joint.name for joint in estimator.category.joints)) if path else None

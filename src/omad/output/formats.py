@@ -13,6 +13,7 @@ import numpy as np
 from omad.common.errors import InputError
 from omad.common.files import write_json
 from omad.estimation.estimate import Estimate
+from omad.objects.category import Category
 from omad.sensing.observation import Observation
 
 from .frame import Frame
@@ -22,7 +23,7 @@ from .rerun import save_rrd
 from .robots.mjcf import save_mjcf
 from .robots.robot import Robot
 from .robots.urdf import save_robot
-from .robots.usd import save_usd
+from .robots.usd import check_joints, save_usd
 from .ros import ros_messages
 
 
@@ -76,13 +77,16 @@ OF_A_PART = (
 """Files of a folder of results that an answer may have or not, and by patterns those of a part."""
 
 
-def check_formats(names: Sequence[str]) -> None:
-    """Raises InputError for a name that is not in ``FORMATS``, and for a format whose package is not installed."""
+def check_formats(names: Sequence[str], category: Category | None = None) -> None:
+    """Raises InputError for a name that is not in ``FORMATS``, for a format whose package is not installed, and for one
+    that cannot say how objects of the ``category`` move."""
     for name in names:
         if name not in FORMATS:
             raise InputError(f"--formats {name}: no such format; choose of {', '.join(FORMATS)}")
         if name in NEED and find_spec(NEED[name][0]) is None:
             raise InputError(f"--formats {name}: needs {NEED[name][0]}; pip install 'omad[{NEED[name][1]}]'")
+    if category is not None and "usd" in names:
+        check_joints([joint.name for joint in category.joints], [joint.motion for joint in category.joints])
 
 
 def save_formats(
@@ -95,7 +99,7 @@ def save_formats(
     """Write the formats named into ``folder``: ``robot.urdf``, ``robot.xml`` (MJCF), ``robot.usda``, ``object.ply`` and
     parts, ``object.glb``, ``ros.json``, ``object.rrd``; in the camera frame, or in the world, z up, where the camera's
     pose (4, 4) in it is given. Raises InputError."""
-    check_formats(formats)
+    check_formats(formats, estimate.category)
     export = Export(estimate, observation, Frame.of(T_world_camera))
     for name in formats:
         FORMATS[name](export, Path(folder))

@@ -1,5 +1,6 @@
 """USD: the object as an articulation of UsdPhysics, in the estimated state."""
 
+from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
 from types import SimpleNamespace
@@ -10,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from omad.common.errors import InputError
 from omad.common.files import write_text
-from omad.geometry.joint_kinds import elementary
+from omad.geometry.joint_kinds import Motion, elementary
 from omad.geometry.mesh import Mesh
 
 from ..picture import part_colours
@@ -28,12 +29,16 @@ def save_usd(robot: Robot, path: str | Path) -> None:
         pxr: Any = SimpleNamespace(**{name: import_module(f"pxr.{name}") for name in PARTS})
     except ImportError as error:
         raise InputError("format usd needs OpenUSD, which is not installed; pip install 'omad[usd]'") from error
-    joints = zip(robot.model.joint_names, robot.model.tree.motions, strict=True)
-    screws = [name for name, motion in joints if len(elementary(motion)) > 1]
-    if screws:
-        raise InputError(f"format usd: {screws[0]} turns and slides at once, which it cannot say; choose urdf or mjcf")
+    check_joints(robot.model.joint_names, robot.model.tree.motions)
     stage = _stage(pxr, robot)
     write_text(Path(path), stage.GetRootLayer().ExportToString())
+
+
+def check_joints(names: Sequence[str], motions: Sequence[Motion]) -> None:
+    """Raises InputError for a joint that turns and slides at once."""
+    for name, motion in zip(names, motions, strict=True):
+        if len(elementary(motion)) > 1:
+            raise InputError(f"format usd: {name} turns and slides at once, which it cannot say; choose urdf or mjcf")
 
 
 PARTS = ("Gf", "Sdf", "Tf", "Usd", "UsdGeom", "UsdPhysics", "Vt")
