@@ -1,5 +1,7 @@
 """Training views: seeded, right in geometry, and alike to rendered views."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -12,6 +14,7 @@ from omad.data.surface_bank import PartSamples, SurfaceBank
 from omad.data.training_views import ViewSettings, draw_views
 from omad.geometry.kinematics import part_transforms
 from omad.geometry.transforms import invert_transform, make_transform, transform_points
+from omad.objects.model import PointObject
 
 CLEAN = ViewSettings(points=256, noise=0.0)
 
@@ -136,3 +139,18 @@ def test_as_many_samples_of_every_part_are_drawn(bank):
             own = bank.points[index][bank.labels[index] == part] * scale[b]
             assert (cloud[b][:, None] - own).abs().amax(-1).amin(1).max() < 1e-6
             assert len(cloud[b].unique(dim=0)) > 40
+
+
+def test_the_smallest_part_has_samples():
+    """As a button has beside a whole cabinet."""
+    model = generate(DISHWASHER, 0)
+    small = replace(model, parts=(model.parts[0], model.parts[1].warped(lambda v: 0.01 * v)))
+    samples = small.surface_samples(8192, np.random.default_rng(0))
+    assert np.bincount(samples.labels).min() >= 32
+    low, high = small.part_boxes()[1]
+    button = samples.points[samples.labels == 1]
+    assert (button > low - 1e-6).all()
+    assert (button < high + 1e-6).all()
+    clouds = [part.vertices for part in small.parts]
+    known = PointObject.from_clouds("cloud", clouds, small.axes, small.pivots, small.limits)
+    assert np.bincount(known.surface_samples(8192, np.random.default_rng(0)).labels).min() >= 31

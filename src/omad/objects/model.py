@@ -18,6 +18,8 @@ from .pose import mirrored_axes
 
 NEIGHBOURS = 10
 """Of a surface point, that tell its normal and how much of the surface it stands for."""
+LEAST = 1 / 256
+"""Share of an object's samples that each part has, however small it is: a part without any is none to learn."""
 
 
 @dataclass(frozen=True)
@@ -165,12 +167,18 @@ class ObjectModel:
         return replace(self, parts=parts, axes=axes / longer, pivots=self.pivots * factors, limits=limits)
 
     def surface_samples(self, count: int, rng: np.random.Generator) -> SurfaceSamples:
-        """``count`` points by area over all parts together."""
-        triangles = np.concatenate([part.triangles for part in self.parts])
+        """``count`` points by area over all parts together, but for parts so small that they have ``LEAST`` of them."""
+        triangles, part_of = np.concatenate([part.triangles for part in self.parts]), self.face_parts()
         points, chosen = sample_triangles(triangles, count, rng)
+        lacking = int(LEAST * count) - np.bincount(part_of[chosen], minlength=len(self.parts))
+        for part in np.flatnonzero(lacking > 0):
+            own, replaced = np.flatnonzero(part_of == part), part_of[chosen] == lacking.argmin()
+            rows = np.flatnonzero(replaced)[: lacking[part]]  # in the order drawn, which is random
+            points[rows], which = sample_triangles(triangles[own], len(rows), rng)
+            chosen[rows] = own[which]
         normals = triangle_normals(triangles[chosen])
         unit = normals / np.linalg.norm(normals, axis=1, keepdims=True)
-        labels = self.face_parts()[chosen].astype(np.int64)
+        labels = part_of[chosen].astype(np.int64)
         return SurfaceSamples(points.astype(np.float32), unit.astype(np.float32), labels)
 
 
@@ -188,7 +196,7 @@ class PointObject:
     surface: SurfaceSamples
     """(N,) points in all; normals may point to either side."""
     areas: np.ndarray
-    """(N,) shares of the surface that the points stand for."""
+    """(N,) shares of the surface that the points stand for; together hardly less than ``LEAST`` a part."""
     closed = False
 
     @classmethod
@@ -197,6 +205,8 @@ class PointObject:
     ) -> Self:
         """From points (n, 3) of each part, ``NEIGHBOURS`` or more; parts may be sampled unequally densely."""
         normals, areas = zip(*(_local_planes(cloud) for cloud in clouds), strict=True)
+        least = LEAST * sum(area.sum() for area in areas)
+        areas = [area * max(least / area.sum(), 1.0) for area in areas]
         points, normal, area = (np.concatenate(each) for each in (clouds, normals, areas))
         labels = np.repeat(np.arange(len(clouds)), [len(cloud) for cloud in clouds])
         surface = SurfaceSamples(points.astype(np.float32), normal.astype(np.float32), labels)
