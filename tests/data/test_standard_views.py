@@ -20,6 +20,7 @@ from omad.data.rendering import view_folder
 from omad.data.rendering.depth_noise import ON
 from omad.data.rendering.rasteriser import NOTHING
 from omad.data.rendering.standard_views import MIN_PIXELS, standard_view, standard_views
+from omad.data.rendering.tabletop import draw_tabletop
 from omad.data.rendering.view_folder import open_views, render_to_folder
 from omad.data.rendering.viewpoints import keep_possible
 from omad.data.surface_bank import SurfaceBank
@@ -213,3 +214,9 @@ def test_broken_folders_are_named(models: list[ObjectModel], tmp_path: Path) -> 
     (tmp_path / "dataset.json").write_text(json.dumps({**record, "format": "else"}))
     with pytest.raises(InputError, match="format"):
         open_views(tmp_path)
+
+
+def test_a_lid_of_a_jar_that_is_made_smaller_is_as_far_open():
+    own, small = (draw_tabletop(["jar"], (0, 1), largest=largest) for largest in (np.inf, 0.05))
+    for one, other in zip(own.objects, small.objects, strict=True):
+        assert np.array_equal(one.states, other.states)

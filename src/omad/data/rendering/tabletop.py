@@ -136,8 +136,7 @@ def _of_category(name: str, split: Literal["train", "test"], largest: float, rng
     mesh = merge_meshes(model.posed(states))
     size = float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
     turn = rng.uniform(-category.views.azimuth, category.views.azimuth)
-    slides = [joint.motion.slide != 0 for joint in category.joints]
-    shrunk = np.where(slides, min(largest / size, 1.0), 1.0)
+    shrunk = np.where(category.turning, 1.0, min(largest / size, 1.0))
     return _Thing(name, states * shrunk, _standing(mesh, turn, min(size, largest)))
 
 
