@@ -11,11 +11,15 @@ import torch
 from helpers.categories import LAPTOP
 from helpers.command_line import answer, refused
 from omad.cli.main import run
+from omad.common.errors import InputError
+from omad.data.source import ViewSource
 from omad.evaluation.baselines.ancsh.net import AncshNet
 from omad.evaluation.paper.box_iou import box_iou
+from omad.evaluation.paper.predictions import predict
 from omad.evaluation.paper.published import TABLE1
 from omad.model.backbones.pointnet2 import PointNet2Config
 from omad.model.checkpoint import WEIGHTS, save
+from omad.objects.category_file import get_category
 
 TABLE = ["eval", "table1", "--categories", "laptop", "--objects", "2", "--views", "4"]
 TINY = PointNet2Config(points=128, centres=(32, 16), neighbours=(8, 8), widths=(24, 32, 48), dense=32)
@@ -104,3 +108,8 @@ def test_without_weights_the_baseline_is_left_out(weights, capsys):
     assert [entry["method"] for entry in found["left_out"]] == ["ancsh"]
     assert json.dumps(found)
     assert "weights/spoon" in refused(capsys, *TABLE[:2], "--categories", "spoon", "--weights", "weights")
+
+
+def test_a_source_without_a_view_is_named():
+    with pytest.raises(InputError, match="laptop: there is no view"):
+        predict(ViewSource([], 0, noisy=False), get_category("laptop"), {})

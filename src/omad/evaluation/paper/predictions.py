@@ -19,6 +19,7 @@ import torch
 
 from omad.common.arrays import Identity, load_arrays, save_arrays
 from omad.common.batches import progress
+from omad.common.errors import InputError
 from omad.common.user_cache import kept_at
 from omad.data.rendering.standard_views import View
 from omad.data.source import ViewSource
@@ -130,7 +131,8 @@ def _file(cache: Path | None, category: Category, name: str, made_of: Identity) 
 def predict(
     source: ViewSource, category: Category, predictors: Mapping[str, Predictor]
 ) -> dict[str, dict[str, np.ndarray]]:
-    """Run every predictor on every view, one at a time; arrays of ``truth``, and of each by its name."""
+    """Run every predictor on every view, one at a time; arrays of ``truth``, and of each by its name. Raises InputError
+    where there is no view."""
     views: list[tuple[str, np.ndarray]] = []
     poses: dict[str, list[ObjectPose]] = defaultdict(list)
     times: dict[str, list[list[float]]] = defaultdict(list)
@@ -153,6 +155,8 @@ def predict(
             poses[f"{name} initial"].append(initial)
             poses[f"{name} refined"].append(refined)
             times[name].append(seconds)
+    if not views:
+        raise InputError(f"{category.name}: there is no view to look at; give a source that holds some")
     objects, boxes = zip(*views, strict=True)
     arrays = {"truth": {"objects": np.array(objects), "boxes": np.stack(boxes)} | _arrays("true", poses["true"])}
     for name in predictors:
