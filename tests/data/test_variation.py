@@ -1,5 +1,7 @@
 """Variants of a few models are objects of their category: joints fit their parts, mirrored ones move as mirrored."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -102,3 +104,11 @@ def test_what_is_nearly_at_rest_moves_a_little():
     shut = nearly_at_rest(model, np.random.default_rng(0))
     assert 0 < np.abs(shut.limits).max() <= AT_REST * np.abs(model.limits).max()
     assert shut.parts == model.parts
+
+
+def test_what_is_flat_stays_flat():
+    model = generate(LAPTOP, 0)
+    sheet = replace(model, parts=tuple(part.warped(lambda v: v * [1, 1, 0]) for part in model.parts))
+    for made in with_variants([sheet], LAPTOP, 3):
+        assert np.isfinite(made.part_boxes()).all()
+        assert np.ptp(made.part_boxes()[..., 2]) < 1e-9

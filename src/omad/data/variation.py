@@ -131,6 +131,8 @@ class _Bend:
     def drawn(cls, ends: np.ndarray, how: Variation, odd: bool, rng: np.random.Generator) -> Self:
         """With bends at the ``ends`` of parts (K, 2) and between; ``odd``: of the same shape to either side of 0."""
         low, high = ends.min(), ends.max()
+        if low == high:  # a sheet has nothing to bend across it
+            return cls(np.array([low, low + 1]), np.array([low, low + 1]))
         inner = rng.uniform(low, high, how.bends)
         places = np.concatenate([[low, high], np.where(rng.random(ends.size) < 0.8, ends.ravel(), low), inner])
         if odd:
