@@ -1,7 +1,7 @@
 """Views in shards are a source of views: the very ones that a rendered folder holds."""
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from itertools import islice
 from pathlib import Path
 
@@ -16,7 +16,7 @@ from omad.data.rendering.standard_views import View
 from omad.data.rendering.view_folder import open_views, render_to_folder
 from omad.data.shards.parquet import RUN, import_pyarrow, part_name
 from omad.data.shards.store import Store
-from omad.data.shards.views import run_record
+from omad.data.shards.views import row_of, run_record, view_schema
 from omad.data.source import ViewSource, load_models, load_views
 
 pytest.importorskip("pyarrow", reason="shards are Parquet files: pip install 'omad[parquet]'")
@@ -55,6 +55,17 @@ def test_they_are_those_of_a_rendered_folder(clutter, tmp_path):
     assert (found.total, found.noisy) == (total, clutter)
     for view, other in zip(found.views, folder, strict=True):
         assert_same(view, other)
+
+
+def test_they_say_of_which_hand_the_object_was_and_older_ones_of_none(tmp_path):
+    pyarrow = import_pyarrow()
+    rendered(tmp_path, total=1, size=1)
+    [view] = loaded(tmp_path).views
+    other = replace(view, truth=replace(view.truth, of_other_hand=True))
+    table = pyarrow.Table.from_pylist([row_of(other, 1e-4)], schema=view_schema(clutter=False))
+    for rows, told in ((table, True), (table.drop_columns(["of_other_hand"]), False)):
+        pyarrow.parquet.write_table(rows, tmp_path / part_name(0))
+        assert [each.truth.of_other_hand for each in loaded(tmp_path).views] == [told]
 
 
 def test_any_may_be_the_first_whatever_shard_it_is_in(tmp_path):

@@ -2,8 +2,8 @@
 
 Columns: ``id`` (object/number), ``depth`` and ``labels`` (PNG), ``depth_scale`` (metres per stored number),
 ``intrinsics`` (fx, fy, cx, cy), ``object``, ``seed``, ``states`` (J) and ``T_camera_base`` (4 x 4, row by row); of the
-object ``axes``, ``pivots``, ``limits`` and ``part_boxes`` (row by row). With clutter also ``mask`` and ``instances``
-(PNG), and ``spoil`` (JSON).
+object ``axes``, ``pivots``, ``limits`` and ``part_boxes`` (row by row), and ``of_other_hand``: true of one that was
+imported as its mirror image. With clutter also ``mask`` and ``instances`` (PNG), and ``spoil`` (JSON).
 """
 
 import io
@@ -32,7 +32,9 @@ CURE = "give a folder or an address that omad render --cluster made"
 IMAGES = ("depth", "labels")
 NUMBERS = ("states", "T_camera_base", "axes", "pivots", "limits", "part_boxes")
 READ = ("object", "seed", "depth_scale", "intrinsics", *IMAGES, *NUMBERS)
-"""Columns that a view is made of; and ``mask``, where there is one."""
+"""Columns that a view is made of ..."""
+OPTIONAL = ("mask", "of_other_hand")
+"""... and those that not all have."""
 SCALE = Annotated[float, Within(1e-9, 1e3)]
 ROWS = 16
 """Read together."""
@@ -60,7 +62,7 @@ def view_schema(clutter: bool) -> Any:
     pyarrow = import_pyarrow()
     text, image, number = pyarrow.string(), pyarrow.binary(), pyarrow.float64()
     columns = {"id": text, **dict.fromkeys(IMAGES, image), "depth_scale": number, "object": text}
-    columns |= {"seed": pyarrow.list_(pyarrow.int64())}
+    columns |= {"seed": pyarrow.list_(pyarrow.int64()), "of_other_hand": pyarrow.bool_()}
     columns |= dict.fromkeys(("intrinsics", *NUMBERS), pyarrow.list_(number))
     if clutter:
         columns |= {"mask": image, "instances": image, "spoil": text}
@@ -79,6 +81,7 @@ def row_of(view: View, depth_scale: float) -> dict[str, Any]:
         "intrinsics": [camera.fx, camera.fy, camera.cx, camera.cy],
         "object": truth.name,
         "seed": list(view.seed),
+        "of_other_hand": truth.of_other_hand,
         **{name: values.ravel().tolist() for name, values in numbers.items()},
     }
     return row if view.mask is None else row | {"mask": as_png(view.mask.astype(np.uint8) * 255)}
@@ -121,7 +124,7 @@ class ViewShards:
                 raise InputError(f"{place}: no column {missing[0]}; render it again with this version")
             if file.metadata.num_rows != rows:
                 raise InputError(f"{place}: {file.metadata.num_rows} views in place of {rows}; delete it, render again")
-            columns = [*READ, "mask"] if "mask" in there else list(READ)
+            columns = [*READ, *(column for column in OPTIONAL if column in there)]
             start = 0
             for batch in file.iter_batches(ROWS, columns=columns):
                 for row, values in enumerate(batch.to_pylist(), start):
@@ -147,7 +150,7 @@ class ViewShards:
                 raise ValueError("depth, labels and mask are of different sizes")
             camera = Camera(depth.shape[1], depth.shape[0], *found.pop("intrinsics").tolist())
             pose, seed = ViewRecord(found.pop("states"), found.pop("T_camera_base"), camera=camera), tuple(row["seed"])
-            truth = ObjectTruth(name=str(row["object"]), **found)
+            truth = ObjectTruth(name=str(row["object"]), **found, of_other_hand=bool(row.get("of_other_hand")))
         return View(truth, depth, labels, camera, pose.states, pose.T_camera_base, seed, mask)
 
 
