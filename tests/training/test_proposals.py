@@ -18,9 +18,9 @@ CATEGORIES = [get_category(name) for name in ("laptop", "safe")]
 SHORT = ProposalTraining(strangers=6)
 
 
-def trained(folder, steps: int, seed: int = 0, features: OmadNet | None = None) -> ProposalNet:
+def trained(folder, steps: int, seed: int = 0, features: OmadNet | None = None, batch: int = 8) -> ProposalNet:
     models = [[generate(category, index) for index in range(2)] for category in CATEGORIES]
-    schedule = replace(SHORT.schedule, steps=steps, batch=8, seed=seed, log_steps=1)
+    schedule = replace(SHORT.schedule, steps=steps, batch=batch, seed=seed, log_steps=1)
     return train_proposals(models, CATEGORIES, folder, replace(SHORT, schedule=schedule), "cpu", features)
 
 
@@ -37,6 +37,13 @@ def test_it_begins_with_what_a_network_knows_of_clouds(tmp_path):
     net = trained(tmp_path, 1, features=features)
     for name, tensor in net.backbone.state_dict().items():
         assert torch.allclose(tensor, features.backbone.state_dict()[name], atol=0.01)
+
+
+def test_a_batch_has_as_many_views_as_it_is_asked_for(tmp_path, monkeypatch):
+    seen, forward = [], ProposalNet.forward
+    monkeypatch.setattr(ProposalNet, "forward", lambda net, points: seen.append(len(points)) or forward(net, points))
+    trained(tmp_path, 1, batch=6)
+    assert seen == [6]
 
 
 def test_another_one_knows_what_both_tell():

@@ -33,7 +33,7 @@ class ProposalTraining(ViewTraining):
     schedule: Schedule = Schedule(steps=5000, batch=64, learning_rate=2e-3)
     views: ViewSettings = ViewSettings(clutter=Clutter(clean=0.5, resized=0.05))
     group: int = 4
-    """Views of one category, drawn together; the others of a batch are of others."""
+    """Views of one category, drawn together; the others of a batch are of others. The last ones may be fewer."""
     strangers: int = 1500
     """How many there are."""
 
@@ -80,12 +80,13 @@ def train_proposals(
     shares = torch.tensor([kind.share for kind in kinds], device=device)
 
     def loss_terms(module: ProposalNet, draw: torch.Generator) -> dict[str, Tensor]:
-        group = min(settings.group, settings.schedule.batch)
-        groups = settings.schedule.batch // group
-        shown = [kinds[k] for k in torch.multinomial(shares, groups, replacement=True, generator=draw).tolist()]
+        group, batch = settings.group, settings.schedule.batch
+        sizes = [min(group, batch - first) for first in range(0, batch, group)]
+        drawn = torch.multinomial(shares, len(sizes), replacement=True, generator=draw).tolist()
+        shown = [(kinds[number], size) for number, size in zip(drawn, sizes, strict=True)]
         with torch.no_grad():
-            points = torch.cat([kind.views(group, settings.views, draw) for kind in shown])
-        answers = torch.tensor([kind.answer for kind in shown], device=device).repeat_interleave(group)
+            points = torch.cat([kind.views(size, settings.views, draw) for kind, size in shown])
+        answers = torch.tensor([kind.answer for kind, size in shown for _ in range(size)], device=device)
         return {"category": cross_entropy(module(points), answers)}
 
     config = {"kind": net.kind, "categories": [asdict(one) for one in categories], "settings": asdict(settings)}
