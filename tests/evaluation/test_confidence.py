@@ -10,11 +10,13 @@ from scipy.stats import mannwhitneyu, norm
 from helpers.categories import DRAWER, LAPTOP
 from omad.common.errors import InputError
 from omad.data.procedural import generate
+from omad.data.rendering.spoils.scenes import random_camera
 from omad.data.rendering.spoils.spoil import Spoil
 from omad.data.rendering.spoils.thinned import FEWEST, thinned_spoil
 from omad.estimation.confidence.model import Confidence, FittedTo, deviations
 from omad.estimation.confidence.signals import IMAGE, JOINT, WITHOUT_FRONT, Signals
 from omad.evaluation.calibration import area_under_roc, expected_calibration_error
+from omad.evaluation.confidence import views
 from omad.evaluation.confidence.fitting import Answers, fit, measured
 from omad.evaluation.confidence.views import HEAPS, OTHERS, examples
 
@@ -159,3 +161,22 @@ def test_a_stretched_object_is_stretched_along_with_its_joints() -> None:
     laptop = generate(LAPTOP, 0, "train", 1)
     assert laptop.stretched(factors).limits == pytest.approx(laptop.limits)
     assert laptop.stretched(factors).pivots == pytest.approx(laptop.pivots * factors)
+
+
+def test_an_object_is_seen_by_every_camera_stretched_or_not(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is shown is drawn apart from how it is seen."""
+    models, shown = [generate(LAPTOP, index) for index in range(6)], Counter[tuple[str, bool, bool]]()
+
+    def seen(model, category, seed, staging):
+        rng = np.random.default_rng(list(seed))
+        rng.integers(2**62)  # as draw_scene begins
+        camera = random_camera(rng)
+        if category is LAPTOP:
+            plain = any(model.parts is one.parts for one in models)
+            shown[model.name, plain, camera.width > 600] += 1
+        raise InputError("enough")
+
+    monkeypatch.setattr(views, "draw_scene", seen)
+    for index in range(500):
+        assert views._example(models, LAPTOP, (0, index)) is None
+    assert len(shown) == len(models) * 2 * 2

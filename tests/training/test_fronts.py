@@ -38,7 +38,9 @@ def test_images_are_of_clean_and_of_spoilt_views_and_the_same_by_seed(fronts):
     assert found.dtype == np.int8
     assert found.shape[1:] == (CHANNELS, ROWS, COLUMNS)
     assert 12 * PLACED < len(found) <= 24 * PLACED
-    assert np.array_equal(found[: 6 * PLACED], images("drawer_1", 6))
+    few = images("drawer_1", 6)
+    assert len(few) > 3 * PLACED
+    assert np.array_equal(found[: len(few)], few)
     assert not np.array_equal(found[0], images("drawer_1", 6, seed=1)[0])
     assert not np.array_equal(found[0], found[1])  # one view, placed twice
     assert set(np.unique(found[:, 0])) == {0, round(STEPS)}

@@ -37,6 +37,8 @@ LEAST, LARGEST = 0.3, 2.0
 """Factors of these errors: most estimates are near the truth, some are not."""
 TURNED, MOVED, SIZED = np.radians(1.5), 0.02, 0.03
 """Standard deviations of an estimate's errors: about each axis; along it and of the size, shares of the body's."""
+STREAM = 2
+"""Behind a view's seed, random numbers of this file's own, apart from the view's and its spoil's."""
 STEPS = 127 / MOST
 """Of an image's values, as they are kept."""
 
@@ -61,7 +63,7 @@ def front_images(models: Sequence[ObjectModel], category: Category, views: int, 
     arguments. Raises InputError where none of the views shows enough."""
     made = []
     for index in progress(range(views), views, every=30.0):
-        rng = np.random.default_rng((seed, index))
+        rng = np.random.default_rng((seed, index, STREAM))
         view = _view(models[index % len(models)], category, (seed, index), rng)
         observed = None if view is None else view.observed()
         if view is None or observed is None:

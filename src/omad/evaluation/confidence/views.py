@@ -10,7 +10,7 @@ from omad.data.procedural import GENERATORS, generate
 from omad.data.rendering.spoils.scenes import draw_scene
 from omad.data.rendering.spoils.spoiling import spoilt, within_range
 from omad.data.rendering.spoils.things import simple_thing
-from omad.data.rendering.spoils.thinned import FEWEST, some_points, thinned_spoil
+from omad.data.rendering.spoils.thinned import FEWEST, STREAM, some_points, thinned_spoil
 from omad.data.rendering.standard_views import View
 from omad.geometry.mesh import Mesh
 from omad.geometry.rigid import box
@@ -59,7 +59,7 @@ def examples(models: Sequence[ObjectModel], category: Category, count: int, seed
 
 def _example(models: Sequence[ObjectModel], category: Category, seed: tuple[int, int]) -> Example | None:
     """None where such a view shows too little."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng((*seed, STREAM))
     kind, model, own = rng.random(), models[int(rng.integers(len(models)))], category
     if kind < OTHERS:
         own = get_category(str(rng.choice([name for name in GENERATORS if name != category.name])))

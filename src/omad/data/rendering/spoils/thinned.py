@@ -19,6 +19,9 @@ WAVES = (0.002, 0.03)
 FEWEST = 500
 """Points of a cloud that is thinned out."""
 
+STREAM = 1
+"""Behind a view's seed, random numbers of the spoil's own: the view's would tie the one to the other."""
+
 Setting = TypeVar("Setting", Spoil, Staging)
 
 
@@ -32,7 +35,7 @@ def thinned_spoil(rng: np.random.Generator) -> Spoil:
 def thinly_spoilt(model: ObjectModel, category: Category, seed: Sequence[int]) -> View | None:
     """A scene of ``model`` with such a spoil, the same for the same ``seed``; None where the object is farther off or
     nearer than the spoil's camera works. Raises InputError for an object that is too thin or too small to be seen."""
-    spoil = thinned_spoil(np.random.default_rng(seed))
+    spoil = thinned_spoil(np.random.default_rng((*seed, STREAM)))
     scene = draw_scene(model, category, seed, spoil.staging)
     return spoilt(scene, spoil).view if within_range(scene, spoil) else None
 
