@@ -51,6 +51,8 @@ with lazy_imports():
     )
     from omad.model.omadnet import OmadNet
     from omad.model.priornet import PriorNet
+    from omad.model.surfaces import bank as banks
+    from omad.model.surfaces.surfaces import Surfaces
     from omad.training.loop import Schedule
     from omad.training.processes import Processes, start
     from omad.training.train_net import NetLossWeights, NetTraining, train_net
@@ -175,18 +177,20 @@ class TrainSurface:
         check_category("--prior", shipped, net.category, self.category)
         models = load_models(self.source, net.category, self.objects, "train", 0).models
         bank = surface_bank(net, models, generated=self.source == "procedural")
-        path = bank.save(folder)
         unseen = self.unseen or (self.source if is_generated(self.source) else None)
         record: dict[str, Any] = {}
         if unseen is not None:
             models = load_models(unseen, net.category, self.views, "train", UNSEEN).models
             estimator = omad.Estimator.from_pretrained(folder)
+            bank.check_prior(estimator.net.prior, folder / banks.FILE)
+            estimator.surfaces = Surfaces(estimator.net.prior, net.category, lambda: bank)
             shares = measured_shares(estimator, models, self.views, seed=0)
             if shares is not None:
                 follows = follows_better(estimator, bank, models, self.views // 2, seed=0)
-                path = replace(bank, shares=shares, follows=follows).save(folder)
+                bank = replace(bank, shares=shares, follows=follows)
                 record = {"shares": shares.taken.tolist(), "errors": shares.errors.tolist(), "views": shares.views}
                 record["follows"] = follows
+        path = bank.save(folder)  # the last: where it is, all that is measured is in it
         return Answer({"file": str(path), "objects": len(bank), "bytes": path.stat().st_size, **record})
 
 

@@ -116,10 +116,16 @@ class ShapeBank:
             follows = "follows" in arrays and bool(arrays["follows"])
             if not len(known) or (meshes and len(meshes) != len(known)):
                 raise ValueError("keypoints and meshes are not of the same objects")
+        found = cls(category, basis, known, meshes, shares, follows)
+        found.check_prior(prior, path)
+        return found
+
+    def check_prior(self, prior: OmadPrior, path: Path) -> None:
+        """Raises InputError, for a bank in the file ``path``, where it was made with another prior."""
         mine = as_numpy(prior.learned_basis)
-        if basis.shape != mine.shape or not np.allclose(basis, mine, rtol=0, atol=ROUNDED):
+        if self.basis.shape != mine.shape or not np.allclose(self.basis, mine, rtol=0, atol=ROUNDED):
+            cure = f"make it anew: {train_command(self.category)}"
             raise InputError(f"{path}: was made with another prior than these weights; {cure}")
-        return cls(category, basis, known, meshes, shares, follows)
 
     @classmethod
     def of_models(
