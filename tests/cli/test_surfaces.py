@@ -7,6 +7,8 @@ import pytest
 
 import omad
 from helpers.command_line import LAPTOP, K, answer, laptop_view, refused, save_png
+from omad.cli.main import run
+from omad.evaluation.confidence import surface_shares
 from omad.model.checkpoint import find_weights
 from omad.model.surfaces.bank import FILE
 from omad.model.surfaces.surfaces import Surfaces
@@ -40,6 +42,22 @@ def test_estimates_take_their_surfaces_from_the_bank(weights, capsys):
     exported = answer(capsys, "export", *LAPTOP, "--weights", str(weights), "--output", str(weights / "copy"))
     assert FILE in exported["files"]
     assert (weights / "copy" / FILE).read_bytes() == (weights / FILE).read_bytes()
+
+
+def test_an_interrupted_measurement_leaves_no_bank_that_looks_finished(weights, monkeypatch, capsys):
+    def interrupted(*asked, **options):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(surface_shares, "measured_shares", interrupted)
+    assert run(["train", "surface", *LAPTOP, "--weights", str(weights), "--objects", "1", "--views", "1"]) == 130
+    assert not (weights / FILE).exists()
+
+
+def test_weights_are_not_exported_onto_themselves(weights, capsys):
+    (weights / FILE).write_bytes(b"its bank")
+    said = refused(capsys, "export", *LAPTOP, "--weights", str(weights), "--output", f"{weights}/../weights")
+    assert "is where these weights are" in said
+    assert (weights / FILE).read_bytes() == b"its bank"
 
 
 def test_commands_go_on_to_the_surface(tmp_path, monkeypatch, capsys):

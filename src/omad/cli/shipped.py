@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import omad
+from omad.common.errors import InputError
 from omad.common.files import write_atomic
 from omad.common.lazy import lazy_imports
 from omad.objects.builtin import builtin_names
@@ -87,6 +88,8 @@ class Export:
         source = find_weights(self.weights or self.category)
         net = load(OmadNet, source)
         check_category("--weights", self.weights, net.category, self.category)
+        if self.output.resolve() == source.resolve():
+            raise InputError(f"--output {self.output}: is where these weights are; choose another folder")
         save(net, self.output, {"exported_from": source.name})
         prior = net.prior
         arrays = {name: getattr(prior, name) for name in ("basis", "beta_mean", "beta_covariance")}
