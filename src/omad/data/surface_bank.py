@@ -80,7 +80,7 @@ class SurfaceBank:
         return SurfaceBank(points, normals, labels, joints.axes, joints.pivots, joints.limits, closed)
 
     def joints(self, indices: Tensor, scale: Tensor) -> Joints:
-        """Those of the objects ``indices`` (B,) stretched by ``scale`` (B, 3)."""
+        """Those of the objects ``indices`` (B,) stretched by ``scale`` (B, 3), between the limits that they had."""
         stretch = scale[:, None]
         axes = normalize(self.axes[indices] * stretch, dim=-1)
         return Joints(axes, self.pivots[indices] * stretch, self.limits[indices])
