@@ -51,6 +51,13 @@ def test_the_table_counts_as_it_says() -> None:
     assert (below["wrong"], below["silently_wrong"], below["covered_90"]) == (1.0, 1.0, 1.0)
 
 
+def test_the_ratio_is_of_views_that_are_there_when_clean() -> None:
+    """An object may be too thin to be seen but from above."""
+    found = {CLEAN: [measured(0, [0.1], 0.1)], "steep": [measured(0, [0.2], 0.1), measured(1, [0.9], 0.1)]}
+    found |= {"below": [measured(1, [0.9], 0.1)]}
+    assert [row["ratio"] for row in table(found, ROWS, LAPTOP)] == [pytest.approx(1), pytest.approx(2), None]
+
+
 def test_lengths_are_metres_and_missing_answers_are_the_worst() -> None:
     missing = Measured(0, missing_errors(DRAWER), np.full((2, 3), np.nan), True, True)
     [row] = table({CLEAN: [missing]}, ROWS, DRAWER)

@@ -225,15 +225,15 @@ def _relative(errors: PoseErrors, category: Category) -> float:
 
 
 def _errors(measured: Sequence[Measured], clean: Mapping[int, float], category: Category) -> dict[str, Any]:
-    """Of all joints together, and their ``ratio`` to the ``clean`` views' errors; None where there is nothing."""
+    """Of all joints together, and the ``ratio`` to the errors of the same views when ``clean``, where these are there;
+    None where there is nothing."""
     turning = np.array(category.turning)
     states = np.array([each.errors.joint_state for each in measured]).reshape(-1, len(turning))
-    relative = sum(_relative(each.errors, category) for each in measured)
-    when_clean = sum(clean[each.index] for each in measured)
+    both = [(_relative(each.errors, category), clean[each.index]) for each in measured if each.index in clean]
     return {
         "joint_state_error_deg": _spread(np.degrees(states[:, turning])),
         "joint_state_error": _spread(states[:, ~turning]),
-        "ratio": relative / when_clean if measured else None,
+        "ratio": sum(one for one, _ in both) / sum(other for _, other in both) if both else None,
     }
 
 
