@@ -11,10 +11,13 @@ from PIL import Image
 from sequences import SequenceConfig, SequenceFrame, render_sequence
 
 from helpers.headless_browser import HeadlessBrowser
+from omad.applications.tracking.streams import taken
 from omad.cli.main import run
 from omad.data.procedural import generate
 from omad.objects.category_file import get_category
+from omad.sensing.foreign import bags
 from omad.sensing.foreign.bags import Topics, read_bag
+from omad.sensing.foreign.images import depth_from, image_from
 
 K = ["--intrinsics", "600,600,319.5,239.5"]
 GIVEN = ["--category", "laptop", "--json"]
@@ -166,6 +169,20 @@ def test_masks_are_those_of_their_images_however_late_they_were_worked_out(kind,
         assert np.array_equal(frame.mask > 0, own.depth > 0)
         assert frame.depth == pytest.approx(own.depth, abs=1e-3)
         assert frame.camera is not None
+
+
+def test_an_image_of_a_recording_that_cannot_be_read_leaves_the_others(sequence, monkeypatch):
+    def cut_short(message):
+        seen.append(message)
+        return depth_from(message) if len(seen) != 2 else image_from(SimpleNamespace(**vars(message) | {"step": 0}))
+
+    seen = []
+    bag = write_bag(Path("recording"), sequence, "mcap")
+    monkeypatch.setattr(bags, "depth_from", cut_short)
+    frames = list(taken(read_bag(bag, Topics())))
+    assert [frame.time for frame in frames] == pytest.approx([0, 0.1, 0.2, 0.3])
+    assert [frame.fault is None for frame in frames] == [True, False, True, True]
+    assert "are no 640x480 image" in str(frames[1].fault)
 
 
 def test_a_camera_of_another_namespace_is_not_the_images(sequence, capsys):

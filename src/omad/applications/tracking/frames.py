@@ -26,11 +26,11 @@ class FrameFile:
 
     path: Path
     time: float
-    """Seconds since the first frame; nan where there is a ``fault``."""
+    """Seconds since the first frame; nan where it is not known, as the ``fault`` says."""
     source: RecordedFrame | None = None
     """Of a recording or a camera; ``path`` is then but its name."""
     fault: InputError | None = None
-    """Why its time is not known."""
+    """Why it cannot be used."""
 
 
 @dataclass

@@ -65,4 +65,4 @@ def taken(frames: Iterable[RecordedFrame]) -> Iterator[FrameFile]:
         first = frame.time if first is None else first
         if (time := frame.time - first) > last:
             last = time
-            yield FrameFile(Path(frame.name), time, frame)
+            yield FrameFile(Path(frame.name), time, frame, frame.fault)

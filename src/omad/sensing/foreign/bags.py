@@ -50,13 +50,15 @@ class RecordedFrame:
     time: float
     """Seconds."""
     depth: np.ndarray
-    """(H, W) metres."""
+    """(H, W) metres; empty where there is a ``fault``."""
     camera: CameraFile | None
     """Its camera, where that was told."""
     color: np.ndarray | None = None
     """(H, W, 3) uint8."""
     mask: np.ndarray | None = None
     """(H, W), not zero where the object is."""
+    fault: InputError | None = None
+    """Why its images cannot be read: those of others may be."""
 
 
 def is_bag(path: Path) -> bool:
@@ -68,8 +70,8 @@ def is_bag(path: Path) -> bool:
 
 def read_bag(path: Path, topics: Topics) -> Iterator[RecordedFrame]:
     """Depth images in the order of the recording, each with its camera, and with the colours and the mask that were
-    taken at the same moment by the stamps in their headers. Raises InputError for what cannot be read, and where the
-    topics are not there."""
+    taken at the same moment by the stamps in their headers. Raises InputError for a recording that cannot be read, and
+    where the topics are not there."""
     try:
         highlevel, typesys = import_module("rosbags.highlevel"), import_module("rosbags.typesys")
     except ImportError as error:
@@ -159,9 +161,12 @@ def _frames(reader: Any, chosen: _Chosen) -> Iterator[RecordedFrame]:
 
     def first() -> RecordedFrame:
         frame, own = waiting.popleft()
-        with_it = {kind: _nearest(images, frame.taken) for kind, images in beside.items()}
-        time = frame.recorded * NANOSECONDS
-        return RecordedFrame(str(frame.recorded), time, depth_from(frame.message).depth, own, **with_it)
+        name, time = str(frame.recorded), frame.recorded * NANOSECONDS
+        try:
+            with_it = {kind: _nearest(images, frame.taken) for kind, images in beside.items()}
+            return RecordedFrame(name, time, depth_from(frame.message).depth, own, **with_it)
+        except InputError as error:
+            return RecordedFrame(name, time, np.zeros((0, 0)), own, fault=error)
 
     for connection, recorded, raw in reader.messages(connections=chosen.all()):
         message = reader.deserialize(raw, connection.msgtype)
