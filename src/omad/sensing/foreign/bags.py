@@ -163,7 +163,7 @@ def _frames(reader: Any, chosen: _Chosen) -> Iterator[RecordedFrame]:
         frame, own = waiting.popleft()
         name, time = str(frame.recorded), frame.recorded * NANOSECONDS
         try:
-            with_it = {kind: _nearest(images, frame.taken) for kind, images in beside.items()}
+            with_it: dict[str, Any] = {kind: _nearest(images, frame.taken) for kind, images in beside.items()}
             return RecordedFrame(name, time, depth_from(frame.message).depth, own, **with_it)
         except InputError as error:
             return RecordedFrame(name, time, np.zeros((0, 0)), own, fault=error)
