@@ -236,6 +236,10 @@ def test_parts_hardly_cut_into_each_other(objects, name, degrees, mean, most):
 
 
 @pytest.mark.slow
+def test_the_thickest_walls_leave_a_microwave_its_cavity():
+    assert generate(EVERY["microwave"], 366, "train", 1).diagonal > 0.4
+
+
 def test_a_shut_screen_sinks_no_deeper_than_a_deck_is_uneven(objects):
     for model in objects["laptop"]:
         lid = model.posed_vertices(np.array([LAPTOP.joints[0].limits[1]]))[1]

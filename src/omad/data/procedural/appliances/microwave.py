@@ -13,6 +13,9 @@ from ..vocabulary.doors import fitted, leaf, liner, pivot_at_side
 from ..vocabulary.handles import handle
 from ..vocabulary.stands import feet
 
+MOST = 0.8
+"""Share of the height that the walls below and above the cavity have at most together."""
+
 
 def generate(rng: np.random.Generator, category: Category, unusual: np.random.Generator | None) -> JointedParts:
     """One microwave, door closed, hinged at the left. Body on y = 0 .. height, its front plane at z = 0. The
@@ -28,6 +31,7 @@ def generate(rng: np.random.Generator, category: Category, unusual: np.random.Ge
     left = wall * rng.uniform(1.0, 2.5)
     if unusual:
         left, low, high = unusual.uniform(0.05, 0.15) * width, *unusual.uniform(0.06, 0.2, 2) * height
+    low, high = min(1.0, MOST * height / (low + high)) * np.array([low, high])
     case = Case(width, height, depth, left, panel, low, high, back)
     front, mouth = case.front, case.mouth
 
