@@ -129,6 +129,21 @@ def test_a_mask_is_not_silently_ignored_for_a_cloud(capsys):
     assert "--segment plane" in line
 
 
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [
+        ("detect frames", ("frames", "is a folder")),
+        ("track d.png --category laptop", ("d.png", "no recording", "give a folder")),
+        ("estimate d.png --category laptop --weights ./runs/lost", ("runs/lost", "no such folder")),
+    ],
+)
+def test_a_file_for_a_folder_and_a_folder_for_a_file(command, words, capsys):
+    save_png("d.png")
+    Path("frames").mkdir()
+    line = refused(capsys, *command.split(), *K)
+    assert all(word in line for word in words), line
+
+
 def test_no_input_at_all(capsys):
     assert "depth" in refused(capsys, "estimate", *LAPTOP, *K)
 

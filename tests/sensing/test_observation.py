@@ -139,6 +139,8 @@ def test_intrinsics() -> None:
     refused("row by row", K=np.transpose(K))
     refused("positive", K=Camera(64, 48, -60.0, 61.0, 31.5, 23.5))
     refused("64x48", "640x480", K=STANDARD_CAMERA)
+    nine = Observation.from_depth(bump(), np.ravel(K).tolist())  # as ROS has them
+    assert np.array_equal(nine.points, Observation.from_depth(bump(), K).points)
     warnings = Observation.from_depth(bump(), (600, 600, 320, 240)).warnings
     assert len(warnings) == 1
     assert "principal point" in warnings[0]
@@ -152,6 +154,8 @@ def test_crops() -> None:
     refused("0 of 600", mask=corner)
     refused("outside", "64x48", box=(70, 0, 80, 20))
     refused("x1 < x2", box=(30, 0, 20, 20))
+    refused("in whole pixels", "0.1,0.2,0.5,0.6", box=(0.1, 0.2, 0.5, 0.6))
+    refused("mask", "read the file", "read_mask", mask="mask.png")
     refused("x1, y1, x2, y2", box=(1, 2, 3))
     refused("x1, y1, x2, y2", box=(1, 2, 3, float("nan")))
     refused("'plane'", segment="magic")

@@ -10,6 +10,7 @@ from tyro.conf import OmitArgPrefixes, Positional
 
 from omad.common.errors import InputError
 from omad.common.files import replacing
+from omad.common.incoming import is_file
 from omad.common.lazy import lazy_imports
 from omad.sensing.input_options import FrameOptions, InputOptions
 
@@ -143,7 +144,8 @@ class Track(CategoryCommand):
             frames = frames_of(self.frames, self._clock())
         else:
             cure = "give a folder of depth images or clouds, a recording, or - for a stream"
-            raise InputError(f"{self.frames}: no such folder; {cure}")
+            wrong = "is a file that is no recording" if self.frames and is_file(self.frames) else "no such folder"
+            raise InputError(f"{self.frames}: {wrong}; {cure}")
         return (frame for _, frame in zip(range(self.most), frames, strict=False)) if self.most else frames
 
     def _clock(self) -> Any:

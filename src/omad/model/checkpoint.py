@@ -140,10 +140,10 @@ def find_weights(name: str | Path) -> Path:
         return fetch(address)
     if isinstance(name, str) and name in builtin_names() and (WEIGHTS / name).is_dir():
         return WEIGHTS / name
-    name = name if isinstance(name, Path) else str(as_path(name, "a checkpoint folder, or a category with weights"))
-    if os.path.isdir(name):
-        return Path(name)
-    if isinstance(name, Path):
+    folder = as_path(name, "a checkpoint folder, or a category with weights")
+    if os.path.isdir(folder):
+        return folder
+    if isinstance(name, Path) or os.path.dirname(name):
         raise InputError(f"{name}: no such folder; give the folder that a training wrote")
     known = ", ".join(shipped_categories()) or "none"
     raise InputError(

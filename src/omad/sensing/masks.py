@@ -56,7 +56,8 @@ def as_mask(values: Any, mask_id: int | None = None) -> np.ndarray:
     except (TypeError, ValueError, RuntimeError) as error:  # ragged lists
         raise InputError("mask: cannot be read as an array; pass (H, W) of booleans or numbers") from error
     if stored.dtype.kind not in "biuf":
-        raise InputError(f"mask: dtype {stored.dtype} is no mask; pass (H, W) of booleans or numbers")
+        text, array = "read the file first: omad.sensing.depth_files.read_mask", "pass (H, W) of booleans or numbers"
+        raise InputError(f"mask: dtype {stored.dtype} is no mask; {text if stored.dtype.kind == 'U' else array}")
     while stored.ndim > 3 and stored.shape[0] == 1:
         stored = stored[0]
     if stored.ndim == 3 and stored.shape[-1] in (3, 4) and stored.shape[0] > 1:

@@ -29,8 +29,6 @@ MOST_POINTS = 1_500_000
 """Of an observation: a network looks at hundreds, and what many millions of pixels say of an object, these do."""
 NEAREST, FEW = 0.05, 0.01
 """Of a cloud: points nearer than this share of its distance along z are wrong, where they are not more than this."""
-NEIGHBOURS = 8
-"""Of a point, to tell whether it flies alone."""
 
 OFF_CENTRE = 0.12
 """Of the image's side, by how much a principal point may be off its middle; of cameras it is by a few per cent, but an
@@ -61,6 +59,8 @@ class Observation:
     """That it is of the object that was looked for, where one had to be found in a whole frame."""
     every: int = 1
     """Rows and columns of ``depth`` for one of points."""
+    seen_at: np.ndarray | None = None
+    """(N, 2) as ``pixels``, in the image that was given, where that had a lens."""
 
     def __repr__(self) -> str:
         image = "" if self.camera is None else f" of a {self.camera.width}x{self.camera.height} image"
@@ -92,11 +92,12 @@ class Observation:
         small patches that hang apart from the object.
 
         Where more than ``MOST_POINTS`` pixels count, points are made of every second row and column, or third ...
-        ``K``: (3, 3) matrix, (fx, fy, cx, cy) in pixels, a ``Camera``, the file of one, or a camera of another package:
-        librealsense's intrinsics, Open3D's PinholeCameraIntrinsic, ROS's CameraInfo, with their lenses; ``distortion``:
-        the lens, where the image was not undistorted and ``K`` does not tell. ``color`` (H, W, 3): what a colour camera
-        saw at the depth image's pixels; it serves pictures alone. Points then lie on the pixels' true rays, and
-        ``depth``, ``mask`` and ``pixels`` are those of the undistorted image, into which points project with K alone.
+        ``K``: (3, 3) matrix, or its 9 numbers row by row, (fx, fy, cx, cy) in pixels, a ``Camera``, the file of one, or
+        a camera of another package: librealsense's intrinsics, Open3D's PinholeCameraIntrinsic, ROS's CameraInfo, with
+        their lenses; ``distortion``: the lens, where the image was not undistorted and ``K`` does not tell. ``color``
+        (H, W, 3): what a colour camera saw at the depth image's pixels; it serves pictures alone. Points then lie on
+        the pixels' true rays, and ``depth``, ``mask`` and ``pixels`` are those of the undistorted image, into which
+        points project with K alone.
         Raises InputError for input that cannot be right, and for fewer than 50 points."""
         brought = depth_from(depth_m)
         depth = _check_depth(brought.depth)
@@ -116,7 +117,7 @@ class Observation:
 
             mask = with_thin_parts(mask, depth)
         chosen = region_of(depth.shape, mask, box)
-        chosen &= measured
+        chosen, seen_at = chosen & measured, None
         if (count := np.count_nonzero(chosen)) < MIN_POINTS:
             lie = f"depth: {count} of {np.count_nonzero(depth)} measured pixels lie inside mask and box"
             raise NothingSeen(f"{lie}, at least {MIN_POINTS} are needed; check mask, box and the camera's range")
@@ -141,14 +142,15 @@ class Observation:
         if camera.distortion is not None:
             color = None if color is None else np.stack([camera.rectified(color[..., i]) for i in range(3)], -1)
             depth, chosen, camera = camera.rectified(depth), camera.rectified(chosen), camera.pinhole
-            pixels = np.rint(camera.project(points))
+            seen_at, pixels = pixels, np.rint(camera.project(points))
             kept = np.all((pixels >= 0) & (pixels < (camera.width, camera.height)), axis=1)  # the corners may be lost
             if (count := np.count_nonzero(kept)) < MIN_POINTS:
                 lie = f"distortion: without it {count} of {len(points)} points lie within the image"
                 raise NothingSeen(f"{lie}, at least {MIN_POINTS} are needed; check its coefficients")
-            points, pixels = points[kept], pixels[kept].astype(int)
+            points, pixels, seen_at = points[kept], pixels[kept].astype(int), seen_at[kept]
         warnings = _doubts(camera) + odd_mask(mask, given) + warnings
-        seen = cls(points.astype(np.float32), depth, camera, pixels, chosen, warnings, color, every=every)
+        points, seen_in = points.astype(np.float32), {"every": every, "seen_at": seen_at}
+        seen = cls(points, depth, camera, pixels, chosen, warnings, color, **seen_in)
         return seen.without_strays() if drop_flying else seen
 
     def part(self, index: np.ndarray) -> Self:
@@ -159,15 +161,21 @@ class Observation:
             raise NothingSeen(f"points: only {len(points)} of {len(self.points)} are left, {need}")
         if self.depth is None or self.pixels is None:
             return replace(self, points=points)
-        pixels = self.pixels[index]
-        return replace(self, points=points, pixels=pixels, mask=_mask_of(pixels, self.depth, self.every))
+        pixels, seen_at = self.pixels[index], None if self.seen_at is None else self.seen_at[index]
+        mask = _mask_of(pixels, self.depth, self.every)
+        return replace(self, points=points, pixels=pixels, mask=mask, seen_at=seen_at)
+
+    @property
+    def given_pixels(self) -> np.ndarray | None:
+        """(N, 2) int column and row of each point in the image that was given; None for a bare cloud."""
+        return self.pixels if self.seen_at is None else self.seen_at
 
     def inside(self, box: Sequence[float]) -> np.ndarray:
-        """(N,) bool: which points are within a ``box`` (x1, y1, x2, y2) in pixels, half-open. Raises InputError for
-        one that is wrong, and for one of a bare cloud."""
-        if self.depth is None or self.pixels is None:
+        """(N,) bool: which points are within a ``box`` (x1, y1, x2, y2) in pixels of the image that was given,
+        half-open. Raises InputError for one that is wrong, and for one of a bare cloud."""
+        if self.depth is None or self.given_pixels is None:
             raise InputError("box: needs a depth image; a bare cloud has no pixels")
-        return region_of(self.depth.shape, None, box)[tuple(self.pixels.T[::-1])]
+        return region_of(self.depth.shape, None, box)[tuple(self.given_pixels.T[::-1])]
 
     def mirrored(self) -> Self:
         """What the camera would see in a mirror in its plane x = 0."""
@@ -181,6 +189,7 @@ class Observation:
             depth=np.ascontiguousarray(self.depth[:, ::-1]),
             camera=replace(self.camera, cx=width - 1 - self.camera.cx),
             pixels=np.array([width - 1, 0]) + self.pixels * [-1, 1],
+            seen_at=None if self.seen_at is None else np.array([width - 1, 0]) + self.seen_at * [-1, 1],
             mask=None if self.mask is None else np.ascontiguousarray(self.mask[:, ::-1]),
             color=None if self.color is None else np.ascontiguousarray(self.color[:, ::-1]),
         )
@@ -192,9 +201,9 @@ class Observation:
     def without_strays(self) -> Self:
         """Without points that fly alone, and in an image without small patches that hang apart from the object. Raises
         NothingSeen where too few are left."""
-        from .patches import hanging  # imports SciPy, which takes long
+        from .patches import flying, hanging  # imports SciPy, which takes long
 
-        steady = self.part(~_flying(self.points)) if len(self.points) > NEIGHBOURS else self
+        steady = self.part(~flying(self.points))
         if steady.depth is None or steady.pixels is None:
             return steady
         return steady.part(~hanging(steady.points, steady.pixels // self.every, steady.depth.shape))
@@ -258,7 +267,8 @@ def _numbers(values: Any, name: str) -> np.ndarray:
     except (TypeError, ValueError, RuntimeError) as error:  # ragged lists
         raise InputError(f"{name}: cannot be read as an array; pass NumPy numbers") from error
     if array.dtype.kind not in "iuf":
-        raise InputError(f"{name}: dtype {array.dtype} is not numeric; pass floats in metres")
+        cure = "read the file first: omad.sensing.depth_files" if array.dtype.kind == "U" else "pass floats in metres"
+        raise InputError(f"{name}: dtype {array.dtype} is not numeric; {cure}")
     return array
 
 
@@ -305,7 +315,7 @@ def _check_camera(K: Any, shape: tuple[int, ...]) -> Camera:
             raise InputError(f"depth: is {width}x{height} but its camera {size}; use the image's own")
         return Camera.from_K(told.K, width, height, told.distortion)
     values = _numbers(K, "intrinsics")
-    if values.shape not in ((4,), (3, 3)):
+    if values.shape not in ((4,), (9,), (3, 3)):
         raise InputError(f"intrinsics: expected a 3x3 matrix or (fx, fy, cx, cy), got shape {values.shape}")
     return Camera.from_K(as_K(values, "intrinsics"), width, height)
 
@@ -317,7 +327,8 @@ def _check_color(color: Any, shape: tuple[int, ...]) -> np.ndarray | None:
     image = _numbers(image_from(color), "color")
     if image.shape[:2] != shape:
         cure = "give one that is aligned to depth, or on the command line --color-intrinsics and --color-extrinsics"
-        raise InputError(f"color: is {image.shape[1::-1]} where the depth image is {shape[::-1]}; {cure}")
+        sizes = ["x".join(map(str, size[1::-1])) for size in (image.shape, shape)]
+        raise InputError(f"color: is {sizes[0]} where the depth image is {sizes[1]}; {cure}")
     if image.ndim == 2 or image.shape[2] == 1:
         image = np.repeat(image.reshape(*shape, 1), 3, 2)
     if image.ndim != 3 or image.shape[2] not in (3, 4):
@@ -336,9 +347,11 @@ def region_of(shape: tuple[int, ...], mask: np.ndarray | None, box: Sequence[flo
             raise InputError(f"mask: shape {mask.shape} differs from the depth image's {shape}; resize it to that")
         region &= mask
     if box is not None:
-        x1, y1, x2, y2 = np.rint(numbers(box, 4, what="box: x1, y1, x2, y2 in pixels")).astype(int)
+        corners = numbers(box, 4, what="box: x1, y1, x2, y2 in pixels")
+        x1, y1, x2, y2 = np.rint(corners).astype(int)
         if x1 >= x2 or y1 >= y2:
-            raise InputError(f"box: x1 < x2 and y1 < y2 are needed, got {x1},{y1},{x2},{y2}")
+            got = ",".join(f"{corner:g}" for corner in corners)
+            raise InputError(f"box: x1 < x2 and y1 < y2 are needed, in whole pixels, got {got}")
         if x1 >= width or y1 >= height or x2 <= 0 or y2 <= 0:
             raise InputError(f"box: {x1},{y1},{x2},{y2} lies outside the {width}x{height} image")
         within = np.zeros(shape, dtype=bool)
@@ -371,23 +384,11 @@ def _select(
     return kept, warnings
 
 
-def _flying(points: np.ndarray) -> np.ndarray:
-    """(N,) bool, points much lonelier than the rest: mean neighbour distance over 3 robust deviations high. Distances
-    are taken relative to the range, because the spacing of a camera's points grows with it."""
-    from scipy.spatial import KDTree  # slow to import
-
-    distances = KDTree(points).query(points, NEIGHBOURS + 1)[0][:, 1:].mean(1) / np.linalg.norm(points, axis=1)
-    median = np.median(distances)
-    return distances > median + 3 * 1.4826 * np.median(np.abs(distances - median)) + median
-
-
 def _doubts(camera: Camera) -> tuple[str, ...]:
     """Intrinsics of another image size are the commonest mistake that nothing else shows."""
     sides = ((camera.cx, camera.width), (camera.cy, camera.height))
-    if (
-        max(abs(centre / max(side - 1, 1) - 0.5) for centre, side in sides) <= OFF_CENTRE
-        or min(s for _, s in sides) == 1
-    ):
+    off = max(abs(centre / max(side - 1, 1) - 0.5) for centre, side in sides)
+    if off <= OFF_CENTRE or min(camera.width, camera.height) == 1:
         return ()
     image = f"{camera.width}x{camera.height} image: are the intrinsics those of this image?"
     return (f"principal point ({camera.cx:.0f}, {camera.cy:.0f}) is far from the middle of the {image}",)

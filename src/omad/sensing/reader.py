@@ -226,6 +226,8 @@ def files_in(folder: Path, pattern: str = "[!.]*") -> list[Path]:
 
 
 def _existing(file: Path) -> None:
+    if os.path.isdir(file):
+        raise InputError(f"{file}: is a folder; give one depth image or cloud")
     if not is_file(file):
         raise InputError(f"{shown(file)}: no such file or folder; give a depth image, a cloud, or a folder of them")
 
