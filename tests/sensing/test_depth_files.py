@@ -224,6 +224,8 @@ def test_intrinsics_in_every_form(tmp_path: Path) -> None:
         ("e.txt", "hello", "ppx"),
         ("f.txt", "0 600 320 240", "pinhole"),
         ("g.txt", " ".join(map(str, K.T.ravel())), "row by row"),
+        ("skew.txt", "600 12 320 0 600 240 0 0 1", "skewed by 12 pixels"),
+        ("turned.txt", "600 0 320 -9 600 240 0 0 1", "rectify"),
         ("h.yaml", "", "ppx"),
         ("i.yaml", "a: [", "YAML"),
     ],

@@ -21,6 +21,8 @@ WRONG = (TypeError, ValueError, KeyError, IndexError, OverflowError, AttributeEr
 """What values of the wrong kind, or none, raise."""
 LARGEST = 1e7
 """Pixels of a focal length or a principal point."""
+SKEWED = 1.0
+"""Pixels of skew that are left out without a word: calibrations have a fraction of one, and depth errs by more."""
 FARTHEST = 1e3
 """Metres between cameras."""
 LENS, FISHEYE = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"), ("k1", "k2", "k3", "k4")
@@ -239,6 +241,8 @@ def as_K(numbers: np.ndarray, name: str) -> np.ndarray:
     K = numbers.reshape(3, 3) if numbers.size == 9 else Camera(0, 0, *numbers).K
     if not (np.abs(K) <= LARGEST).all() or K[0, 0] <= 0 or K[1, 1] <= 0 or not np.allclose(K[2], [0, 0, 1]):
         raise InputError(f"{name}: no pinhole matrix; expected [fx 0 cx; 0 fy cy; 0 0 1], positive pixels, row by row")
+    if (askew := max(abs(K[0, 1]), abs(K[1, 0]))) > SKEWED:
+        raise InputError(f"{name}: skewed by {askew:.3g} pixels; rectify the image, and give the matrix of that")
     return K
 
 
