@@ -12,6 +12,7 @@ import pytest
 
 import omad
 from helpers.command_line import laptop_view
+from omad.applications.deployment import given
 from omad.applications.deployment import program as program_file
 from omad.common.errors import InputError
 from omad.data.procedural import generate
@@ -71,7 +72,7 @@ def test_zeros_are_no_points_and_millimetres_are_refused(monkeypatch):
 
 
 @needs
-def test_images_that_do_not_fit_are_named():
+def test_images_that_do_not_fit_are_named(tmp_path):
     depth, K = np.ones((4, 5)), [600.0, 600.0, 2.0, 1.5]
     wrong = {
         "--intrinsics: give four": (depth, K[:3], None),
@@ -79,9 +80,22 @@ def test_images_that_do_not_fit_are_named():
         "depth: shape": (depth[None], K, None),
         "mask: shape": (depth, K, depth[:2]),
     }
-    for said, given in wrong.items():
+    for said, asked in wrong.items():
         with pytest.raises(ValueError, match=said):
-            program_file.back_projected(*given)
+            given.back_projected(*asked)
+
+    paths = [str(tmp_path / name) for name in ("depth.npy", "mask.png", "lost.npy")]
+    np.save(paths[0], depth)
+    (tmp_path / "mask.png").write_bytes(b"\x89PNG")
+    wrong = {
+        "--intrinsics: give four": (paths[0],),
+        "--intrinsics: give": (paths[0], "K.txt"),
+        "--mask .*mask.png: is no .npy": (paths[0], "600,600,2,1.5", paths[1]),
+        "--mask .*lost.npy: cannot be read": (paths[0], "600,600,2,1.5", paths[2]),
+    }
+    for said, asked in wrong.items():
+        with pytest.raises(ValueError, match=said):
+            given.read_points(*asked)
 
 
 @needs

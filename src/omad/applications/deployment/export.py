@@ -19,12 +19,12 @@ from omad.model.omadnet import OmadNet
 from omad.sensing import point_choice
 from omad.sensing.observation import MIN_POINTS
 
-from . import choice, program
+from . import choice, given, program
 from .graphs import energy_graph, hand_graph, network_graph
 
 NUMBERS, PROGRAM, NEEDS = "estimator.json", "estimate.py", "requirements.txt"
 NETWORK, ENERGY, HAND = "network.onnx", "energy.onnx", "hand.onnx"
-BESIDE = {"choice": choice, "relief": relief, "front_image": image}
+BESIDE = {"choice": choice, "given": given, "relief": relief, "front_image": image}
 """Files that the program takes with it."""
 
 

@@ -1,6 +1,6 @@
 """Shape, pose, joint states and joint axes of one articulated object, from the points of one depth view.
 
-This file lies in a folder with three others, ONNX graphs and a table of numbers; it needs NumPy and ONNX Runtime:
+This file lies in a folder with four others, ONNX graphs and a table of numbers; it needs NumPy and ONNX Runtime:
 
     python estimate.py points.npy
     python estimate.py depth.npy --intrinsics 600,600,319.5,239.5 --mask mask.npy
@@ -24,6 +24,7 @@ import numpy as np
 import onnxruntime
 
 from omad.applications.deployment.choice import choose_points
+from omad.applications.deployment.given import read_points
 from omad.estimation.looks.relief import as_shut, relief
 from omad.model.fronts.image import front_image
 
@@ -354,27 +355,6 @@ def rotation(v: np.ndarray) -> np.ndarray:
     return np.eye(3) + s * skew + k * skew @ skew
 
 
-def back_projected(depth: np.ndarray, intrinsics: list[float], mask: np.ndarray | None) -> np.ndarray:
-    """(N, 3) of a depth image (H, W) in metres; 0 and what is not finite is no measurement. Raises ValueError."""
-    if len(intrinsics) != 4 or not np.isfinite(intrinsics).all() or min(intrinsics[:2]) <= 0:
-        raise ValueError("--intrinsics: give four numbers fx,fy,cx,cy in pixels, the first two positive")
-    if depth.ndim != 2:
-        raise ValueError(f"depth: shape {depth.shape} is no image's; give (H, W)")
-    if mask is not None and mask.shape != depth.shape:
-        raise ValueError(f"mask: shape {mask.shape} differs from the depth image's {depth.shape}")
-    fx, fy, cx, cy = intrinsics
-    seen = np.isfinite(depth) & (depth > 0)
-    v, u = np.nonzero(seen if mask is None else seen & (mask > 0))
-    z = depth[v, u]
-    return np.stack([(u - cx) / fx * z, (v - cy) / fy * z, z], 1)
-
-
-def read_array(path: str) -> np.ndarray:
-    """Of an .npy file. Raises OSError, and ValueError for what is none, as an .npz."""
-    with open(path, "rb") as file:
-        return np.lib.format.read_array(file, allow_pickle=False)
-
-
 def main() -> int:
     """Print the answer as JSON."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -383,10 +363,7 @@ def main() -> int:
     parser.add_argument("--mask", help=".npy: (H, W), not zero on the object")
     options = parser.parse_args()
     try:
-        points = read_array(options.input)
-        if options.intrinsics:
-            mask = read_array(options.mask) if options.mask else None
-            points = back_projected(points, [float(number) for number in options.intrinsics.split(",")], mask)
+        points = read_points(options.input, options.intrinsics, options.mask)
         answer = asdict((program := Program())(points))
     except (OSError, ValueError) as error:
         print(f"{options.input}: {error}", file=sys.stderr)
