@@ -12,7 +12,8 @@ from PIL import Image
 
 from omad.common.errors import InputError
 from omad.common.files import write_atomic
-from omad.sensing.camera_files import read_intrinsics
+from omad.geometry.lens import Distortion
+from omad.sensing.camera_files import read_camera, read_intrinsics
 from omad.sensing.depth_files import in_metres, read_cloud, read_depth, read_mask
 from omad.sensing.observation import Observation
 
@@ -212,6 +213,20 @@ def test_intrinsics_in_every_form(tmp_path: Path) -> None:
     assert np.allclose(read_intrinsics(tmp_path / "K.npy"), K)
     assert np.allclose(read_intrinsics("600,601,319.5,239.5"), K)
     assert np.allclose(read_intrinsics("600, 601, 319.5, 239.5"), K)
+
+
+def test_a_calibration_of_opencv(tmp_path: Path) -> None:
+    """As ``cv::FileStorage`` writes it: a first line that is no YAML, and matrices with a tag of its own."""
+    matrix = "{}: !!opencv-matrix\n   rows: {}\n   cols: {}\n   dt: d\n   data: {}\n"
+    lens = [0.1, -0.2, 0.001, 0.002]
+    written = f"%YAML:1.0\n---\nimage_width: 640\nimage_height: 480\n{matrix}{matrix}fisheye_model: {{}}\n"
+    for fisheye, model in enumerate(("plumb_bob", "equidistant")):
+        told = ("camera_matrix", 3, 3, K.ravel().tolist(), "distortion_coefficients", 4, 1, lens, fisheye)
+        (tmp_path / "calibration.yml").write_text(written.format(*told))
+        camera = read_camera(tmp_path / "calibration.yml")
+        assert np.allclose(camera.K, K)
+        assert camera.size == (640, 480)
+        assert camera.distortion == Distortion(model, tuple(lens))
 
 
 @pytest.mark.parametrize(

@@ -27,6 +27,8 @@ FARTHEST = 1e3
 """Metres between cameras."""
 LENS, FISHEYE = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"), ("k1", "k2", "k3", "k4")
 """Coefficients by name, in OpenCV's order."""
+OPENCV = "%YAML:1.0"
+"""How OpenCV's files begin, which is no YAML."""
 REALSENSE = ("none", "modified_brown_conrady", "inverse_brown_conrady", "ftheta", "brown_conrady", "kannala_brandt4")
 """librealsense's models by number."""
 
@@ -47,7 +49,8 @@ def read_camera(source: str | Path) -> CameraFile:
     """Intrinsics, lens and image size from ``fx,fy,cx,cy`` or a file. Files: Open3D JSON (``intrinsic_matrix``,
     column-major, alone or in PinholeCameraParameters), JSON or YAML with ``fx, fy, cx, cy`` or librealsense's ``fx, fy,
     ppx, ppy`` (with ``model`` and ``coeffs``, or ``k1`` and so on), ROS CameraInfo YAML (``K`` or ``k``, with
-    ``distortion_model`` and ``D`` or ``d``), NPY, or text holding 3x3 or 4 numbers. Raises InputError for others."""
+    ``distortion_model`` and ``D`` or ``d``), OpenCV's FileStorage YAML (``camera_matrix``,
+    ``distortion_coefficients``), NPY, or text holding 3x3 or 4 numbers. Raises InputError for others."""
     text = str(source)
     if (numbers := _numbers(text)) is not None:
         return CameraFile(as_K(numbers, f"intrinsics {shown(repr(text))}"))
@@ -163,7 +166,7 @@ def _parsed(content: str, name: str | Path) -> Any:
         return parse_json(content, name)
     try:
         # `rostopic echo` ends each message with a ---
-        return next(yaml.load_all(content, _PlainYaml), None)
+        return next(yaml.load_all(content.removeprefix(OPENCV), _PlainYaml), None)
     except Exception as error:  # its readers of dates and numbers raise anything; what they read is not quoted
         mark = getattr(error, "problem_mark", None)
         where = "" if mark is None else f" (line {mark.line + 1})"
@@ -177,6 +180,9 @@ class _PlainYaml(yaml.SafeLoader):
         if self.check_event(yaml.AliasEvent):
             raise yaml.YAMLError("references are not supported")
         return super().compose_node(parent, index)
+
+
+_PlainYaml.add_constructor("tag:yaml.org,2002:opencv-matrix", _PlainYaml.construct_yaml_map)
 
 
 def _find_intrinsics(data: Any, name: str | Path) -> np.ndarray:
@@ -197,6 +203,7 @@ def _find_intrinsics(data: Any, name: str | Path) -> np.ndarray:
 def _find_distortion(data: dict[str, Any]) -> Distortion | None:
     """The lens that a file tells of; None for none, or for coefficients that are all zero."""
     model = _model_name(next((data[key] for key in ("model", "distortion_model") if data.get(key) is not None), ""))
+    model = "equidistant" if data.get("fisheye_model") else model  # OpenCV's
     listed = next((data[key] for key in ("coeffs", "D", "d", "distortion_coefficients") if key in data), None)
     if listed is None and "k1" in data:
         if model is None and "k4" in data and "p1" not in data:
