@@ -8,6 +8,7 @@ from scipy.optimize import least_squares
 
 from helpers.command_line import laptop_view
 from helpers.lenses import BROWN, K, seen_through
+from omad.applications.detection.detector import Detection
 from omad.common.errors import InputError
 from omad.geometry.camera import STANDARD_CAMERA
 from omad.geometry.lens import Distortion
@@ -156,3 +157,17 @@ def test_lenses_are_read_from_the_command_line():
         with pytest.raises(InputError) as error:
             parse_distortion(text)
         assert "\n" not in str(error.value)
+
+
+def test_boxes_are_of_the_image_that_was_given():
+    lens, depth = Distortion("equidistant", (0.0,)), np.full((120, 160), 2.0, np.float32)
+    depth[:, ::2] = 1.5
+    K, box = np.array([[80.0, 0, 79.5], [0, 80, 59.5], [0, 0, 1]]), (100, 30, 150, 90)
+    whole = Observation.from_depth(depth, K, distortion=lens)
+    asked = Observation.from_depth(depth, K, box=box, distortion=lens)
+    inside = whole.inside(box)
+    np.testing.assert_array_equal(whole.points[inside], asked.points)
+    there = whole.part(inside)
+    assert Detection(there, {}, None, {}).box == Detection(asked, {}, None, {}).box
+    assert np.abs(there.given_pixels - there.pixels).max() > 5
+    np.testing.assert_array_equal(there.mirrored().given_pixels, there.given_pixels * [-1, 1] + [159, 0])

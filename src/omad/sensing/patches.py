@@ -1,4 +1,5 @@
-"""Small patches of a mask that hang in the air: wrong depth, and bits of what is before or behind the object."""
+"""What hangs in the air: points that fly alone, and small patches of a mask, of wrong depth or of what is before or
+behind the object."""
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -15,6 +16,18 @@ APART = 0.15
 """... and is farther than this share of its size from all that is larger."""
 ENOUGH = 3000
 """Points of what is larger, at most, for the distance from it."""
+NEIGHBOURS = 8
+"""Of a point, to tell whether it flies alone."""
+
+
+def flying(points: np.ndarray) -> np.ndarray:
+    """(N,) bool, points (N, 3) much lonelier than the rest: mean neighbour distance over 3 robust deviations high.
+    Distances are taken relative to the range, because the spacing of a camera's points grows with it."""
+    if len(points) <= NEIGHBOURS:
+        return np.zeros(len(points), dtype=bool)
+    distances = KDTree(points).query(points, NEIGHBOURS + 1)[0][:, 1:].mean(1) / np.linalg.norm(points, axis=1)
+    median = np.median(distances)
+    return distances > median + 3 * 1.4826 * np.median(np.abs(distances - median)) + median
 
 
 def hanging(points: np.ndarray, pixels: np.ndarray, shape: tuple[int, int]) -> np.ndarray:

@@ -81,10 +81,10 @@ class Detection:
 
     @property
     def box(self) -> tuple[int, int, int, int] | None:
-        """x1, y1, x2, y2 in pixels, half-open; None in a bare cloud."""
-        if self.observation.pixels is None:
+        """x1, y1, x2, y2 in pixels of the image that was given, half-open; None in a bare cloud."""
+        if self.observation.given_pixels is None:
             return None
-        (x1, y1), (x2, y2) = bounds(self.observation.pixels).tolist()
+        (x1, y1), (x2, y2) = bounds(self.observation.given_pixels).tolist()
         return x1, y1, x2 + 1, y2 + 1
 
     def to_dict(self) -> dict[str, Any]:
