@@ -47,7 +47,8 @@ def test_what_is_no_observation_is_named(value):
 @pytest.mark.parametrize(
     "known",
     [Known(beta="x"), Known(beta=np.full(10, np.nan)), Known(beta=np.full(10, 1e30)), Known(joint_states=["x"]),
-     Known(joint_states=[np.inf]), Known(gravity=[0, 0, np.nan]), Known(gravity=[0, 0, 1e300])],
+     Known(joint_states=[np.inf]), Known(gravity=[0, 0, np.nan]), Known(gravity=[0, 0, 1e300]),
+     Known(mirrored_probability=0.5)],
 )  # fmt: skip
 def test_what_cannot_be_known_is_refused(known):
     view = laptop_view().observation()

@@ -129,6 +129,14 @@ def test_what_is_seen_in_a_mirror_gets_the_mirrored_answer(estimator, views):
         assert set(one.seconds) == {"network", "refinement"}
 
 
+def test_a_hand_that_is_known_is_taken(estimator, views):
+    seen = views[0].observation()
+    assert [estimator(seen, Known(mirrored_probability=p)).of_other_hand for p in (0.0, 1.0)] == [False, True]
+    for wrong in (2.0, np.nan):
+        with pytest.raises(InputError, match="mirrored_probability: .* is no probability; give 0 to 1"):
+            estimator(seen, Known(mirrored_probability=wrong))
+
+
 def test_several_views_agree_on_a_hand(estimator):
     model = generate(DISHWASHER, 5, "test")
     views = [standard_view(model, DISHWASHER, (6, i), states=np.array([0.7])) for i in range(3)]
@@ -150,8 +158,14 @@ def test_the_likelier_hand_is_taken_and_without_one_the_surer(views):
         found = surer_hands(plain, images, hand.tolist(), together)
         assert [e.of_other_hand for e in found] == [bool(row[1] > row[0]) for row in odds]
         assert [e.hand_probability for e in found] == pytest.approx(expit(np.abs(np.diff(odds)[:, 0]) / 2))
+        for known in (0.0, 1.0):  # surely, whatever a view tells
+            found = surer_hands(plain, images, hand.tolist(), together, known)
+            assert [(e.of_other_hand, e.mirrored_probability) for e in found] == [(known == 1.0, known)] * len(views)
+        weakly = surer_hands(plain, images, hand.tolist(), together, 0.5)
+        assert [e.hand_probability for e in weakly] == pytest.approx(expit(np.abs(np.diff(odds)[:, 0]) / 2))
     surer = [np.log(a.keypoint_std).mean() > np.log(b.keypoint_std).mean() for a, b in zip(plain, images, strict=True)]
     assert [e.of_other_hand for e in surer_hands(plain, images, (), False)] == surer
+    assert all(e.of_other_hand for e in surer_hands(plain, images, (), False, 0.9))
     before = [*hand[:-3], hand[-1]]  # one that was fitted before the front was asked
     own, other = ([np.append(told(estimate)[:-2], 1) @ before for estimate in some] for some in (plain, images))
     assert [e.of_other_hand for e in surer_hands(plain, images, before, False)] == list(np.less(own, other))

@@ -151,6 +151,12 @@ class Estimate(PoseEstimate):
     """That this is so, or not so, as ``of_other_hand`` says; None where the category has one hand only, or where nobody
     learned how to tell."""
 
+    @property
+    def mirrored_probability(self) -> float | None:
+        """That it is of the other hand; None as ``hand_probability``."""
+        told = self.hand_probability
+        return told if told is None or self.of_other_hand else 1 - told
+
     def in_mirror(self) -> Self:
         """The answer to what is seen in a mirror in the camera's plane x = 0."""
         sign = np.concatenate([[1.0, -1.0, -1.0], MIRROR_X, np.ones(len(self.covariance) - 6)])

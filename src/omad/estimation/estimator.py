@@ -199,7 +199,7 @@ class Estimator:
         if not self.category.either_hand:
             return self._of_one_hand(observations, known, near, rig)
         plain, images = self.of_each_hand(observations, known, near, rig)
-        return surer_hands(plain, images, self.hand, together=rig is not None)
+        return surer_hands(plain, images, self.hand, rig is not None, known.mirrored_probability)
 
     def of_each_hand(
         self, observations: Sequence[Observation], known: Known, near: Near | None = None, rig: Rig | None = None

@@ -1,6 +1,7 @@
 """What is known of an object before it is looked at: held fixed while the rest is estimated."""
 
 from dataclasses import dataclass, replace
+from numbers import Real
 from typing import Any, Self
 
 import numpy as np
@@ -36,15 +37,20 @@ class Known:
     """(J,) radians or metres; NaN for a joint whose state is not known."""
     gravity: np.ndarray | None = None
     """(3,) direction in the camera frame, for an object that stands upright."""
+    mirrored_probability: float | None = None
+    """That the object is of the other hand, as ``Estimate.of_other_hand`` has it, where its category has either; what a
+    view tells of that counts where it is surer."""
 
     @property
     def is_nothing(self) -> bool:
-        """Whether everything is left out."""
+        """Whether all that the fit holds fixed is left out."""
         return self.beta is None and self.joint_states is None and self.gravity is None
 
     def mirrored(self) -> Self:
         """Of what is seen in a mirror in the camera's plane x = 0."""
-        return self if self.gravity is None else replace(self, gravity=as_doubles(self.gravity) * MIRROR_X)
+        down, hand = self.gravity, self.mirrored_probability
+        down = None if down is None else as_doubles(down) * MIRROR_X
+        return replace(self, gravity=down, mirrored_probability=None if hand is None else 1 - hand)
 
     def seen_from(self, T_first_camera: np.ndarray) -> list[Self]:
         """What is known in the first camera's frame in those of cameras at ``T_first_camera`` (V, 4, 4). Raises
@@ -112,6 +118,11 @@ def check_known(known: Any, category: Category, basis_size: int) -> None:
             raise InputError(f"known {name}: holds numbers that are too large to mean anything")
     if known.gravity is not None and not np.linalg.norm(as_numpy(known.gravity)) > LEAST:
         raise InputError("known gravity: a direction is needed, got next to nothing")
+    if (hand := known.mirrored_probability) is not None:
+        if not category.either_hand:
+            raise InputError(f"known mirrored_probability: a {category.name} has one hand (either_hand); leave it out")
+        if not (isinstance(hand, Real) and 0 <= hand <= 1):
+            raise InputError(f"known mirrored_probability: {hand} is no probability; give 0 to 1")
 
 
 @dataclass(frozen=True)

@@ -152,6 +152,7 @@ class Tracker:
         track.now = time
         if observation is None:
             return self._miss(track, None, None)
+        known = _of_one_hand(known, track.last)
         single = self.estimator.near(observation, self._near(track), known)
         surprise = self._surprise(track, single)
         believed = surprise < self._limit and self._plausible(single)
@@ -168,8 +169,8 @@ class Tracker:
         return self._miss(track, single, surprise)
 
     def _search(self, observation: Observation | None, time: float, known: Known) -> TrackedEstimate:
-        cold = None if observation is None else self.estimator(observation, known)
         before, self._candidate = self._candidate, None
+        cold = None if observation is None else self.estimator(observation, _of_one_hand(known, before))
         if cold is not None and self._plausible(cold):
             first_of_all = before is None and self.shape.views == 0 and (cold.probability or 0.0) >= self.config.sure
             if first_of_all or (before is not None and self._agree(before, cold)):
@@ -254,6 +255,13 @@ class Tracker:
     def _category_shape(self) -> ShapeBelief:
         prior = self.estimator.net.prior
         return ShapeBelief(self.config.shape, as_doubles(prior.beta_mean), as_doubles(prior.beta_covariance))
+
+
+def _of_one_hand(known: Known, last: Estimate | None) -> Known:
+    """What is known, with the hand that the ``last`` answer told: an object keeps it, and a shut door hardly tells."""
+    if last is None or known.mirrored_probability is not None:
+        return known
+    return replace(known, mirrored_probability=last.mirrored_probability)
 
 
 def evidence(estimate: Estimate) -> float:

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.special import expit
+from scipy.special import expit, logit
 
 from omad.common.errors import InputError
 from omad.model.fronts.hands import shipped_hand_net
@@ -20,17 +20,25 @@ FRONTS = 2
 
 
 def surer_hands(
-    plain: Sequence[Estimate], images: Sequence[Estimate], hand: Sequence[float], together: bool
+    plain: Sequence[Estimate],
+    images: Sequence[Estimate],
+    hand: Sequence[float],
+    together: bool,
+    mirrored_probability: float | None = None,
 ) -> list[Estimate]:
     """Of each two answers, to an observation and to its mirror image, the one whose object is likelier of the
     category's hand, as ``odds`` tells, with how likely that is; or where there is no ``hand``, the one that expects the
-    smaller errors of its keypoints. Of all views ``together`` where they show one object. Both take their time."""
+    smaller errors of its keypoints. Of all views ``together`` where they show one object. ``mirrored_probability`` is
+    what was known before, as of ``Known``. Both take their time."""
     pairs = list(zip(plain, images, strict=True))
     odds_for = np.array([[_for(estimate, hand) for estimate in pair] for pair in pairs])
     if together:
         odds_for[:] = odds_for.mean(0)
     # either answer tells the odds, for itself and against the other: the mean of both
     lead = (odds_for[:, 0] - odds_for[:, 1]) / 2
+    if mirrored_probability is not None:
+        before = -logit(mirrored_probability)
+        lead = np.where(np.abs(lead) > abs(before), lead, before) if hand else np.full(len(lead), before)
     chosen = [own if ahead >= 0 else image.in_mirror() for ahead, (own, image) in zip(lead, pairs, strict=True)]
     told = expit(np.abs(lead)).tolist() if hand else [None] * len(pairs)
     return [
