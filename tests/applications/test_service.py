@@ -143,7 +143,7 @@ WRONG = {
     "no depth": ({"intrinsics": INTRINSICS}, "depth: is missing"),
     "no intrinsics": ({"depth": b"x"}, "intrinsics: is missing"),
     "a path for intrinsics": (fields(intrinsics=b"/etc/passwd"), "intrinsics: holds no intrinsics"),
-    "a path for depth": (fields(depth=b"/etc/passwd"), "depth: not readable as an image"),
+    "a path for depth": (fields(depth=b"/etc/passwd"), "depth: not readable as an image; send the file itself"),
     "another category": (fields(category=b"../laptop"), "category '../laptop': not served"),
     "an unknown field": (fields(colour=b"1"), "colour: no such field; there are depth, intrinsics"),
     "no number": (fields(depth_scale=b"many"), "depth_scale 'many': give a number"),

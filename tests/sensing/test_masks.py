@@ -65,6 +65,10 @@ def test_grey_edges_and_pictures_are_no_labels() -> None:
     smooth = np.where(MASK, 255, 0).astype(np.uint8)
     smooth[2, 3:6] = 60, 128, 200
     assert np.array_equal(as_mask(smooth), MASK)
+    parts = np.where(MASK, np.uint8(255), np.uint8(0))  # as omad render labels what is no part, and VOC what is unclear
+    parts[2, 3:6] = 1
+    with pytest.raises(InputError, match="label image of 1, 255"):
+        as_mask(parts)
     picture = np.arange(1, 201).reshape(10, 20)
     assert as_mask(picture).all()
 

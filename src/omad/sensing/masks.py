@@ -18,6 +18,8 @@ OPAQUE = 128
 """A pixel with at least this alpha, of 255, is the object's."""
 LISTED = 12
 """Ids that an error lists at most."""
+SHADE = 16
+"""Of 255: the edge of a smooth mask has greys from here on, while labels are small numbers."""
 FEW = 64
 """Of fewer numbers an image is one of labels; of more, a picture cut out of its background, say."""
 GREY, SAME_HUE = 0.15, 0.25
@@ -56,8 +58,8 @@ def as_mask(values: Any, mask_id: int | None = None) -> np.ndarray:
     except (TypeError, ValueError, RuntimeError) as error:  # ragged lists
         raise InputError("mask: cannot be read as an array; pass (H, W) of booleans or numbers") from error
     if stored.dtype.kind not in "biuf":
-        text, array = "read the file first: omad.sensing.depth_files.read_mask", "pass (H, W) of booleans or numbers"
-        raise InputError(f"mask: dtype {stored.dtype} is no mask; {text if stored.dtype.kind == 'U' else array}")
+        path, array = "read the file first: omad.sensing.depth_files.read_mask", "pass (H, W) of booleans or numbers"
+        raise InputError(f"mask: dtype {stored.dtype} is no mask; {array if stored.ndim else path}")
     while stored.ndim > 3 and stored.shape[0] == 1:
         stored = stored[0]
     if stored.ndim == 3 and stored.shape[-1] in (3, 4) and stored.shape[0] > 1:
@@ -167,7 +169,8 @@ def _of_one_thing(numbers: np.ndarray) -> np.ndarray:
     """What is not zero. Edges may be grey, but of an image with several labels it is not known which is meant."""
     high, there = numbers.max(initial=0), numbers != 0
     others = numbers[there & (numbers != high)]
-    smoothed = high == np.iinfo(numbers.dtype).max and 2 * len(others) < np.count_nonzero(there)
+    grey = 255 * int(others.max(initial=0)) >= SHADE * int(high)
+    smoothed = grey and high == np.iinfo(numbers.dtype).max and 2 * len(others) < np.count_nonzero(there)
     if len(others) and not smoothed and len(ids := np.unique(others)) < FEW - 1:
         listed = _listed(np.append(ids, high))
         raise InputError(f"mask: is a label image of {listed}; give mask_id (--mask-id), or mask != 0 for all of them")

@@ -267,7 +267,7 @@ def _numbers(values: Any, name: str) -> np.ndarray:
     except (TypeError, ValueError, RuntimeError) as error:  # ragged lists
         raise InputError(f"{name}: cannot be read as an array; pass NumPy numbers") from error
     if array.dtype.kind not in "iuf":
-        cure = "read the file first: omad.sensing.depth_files" if array.dtype.kind == "U" else "pass floats in metres"
+        cure = "pass floats in metres" if array.ndim else "read the file first: omad.sensing.depth_files"
         raise InputError(f"{name}: dtype {array.dtype} is not numeric; {cure}")
     return array
 

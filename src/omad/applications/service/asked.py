@@ -58,6 +58,8 @@ class Asked:
         for name, what in (("depth", "a depth image's file"), ("intrinsics", "fx,fy,cx,cy or a camera's file")):
             if not told.get(name):
                 raise InputError(f"{name}: is missing; give {what}")
+        if told["depth"].isascii() and told["depth"].decode().isprintable():  # the name of a file, say
+            raise InputError("depth: not readable as an image; send the file itself, with curl as depth=@depth.png")
         texts = {name: _text(name, value) for name, value in told.items() if name not in ("depth", "mask")}
         read: dict[str, Any] = {name: texts[name] for name in ("intrinsics", "category") if name in texts}
         for name, among in (("segment", SEGMENTS), ("checks", CHECKS), ("format", FORMATS)):
