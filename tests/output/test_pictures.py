@@ -15,12 +15,15 @@ from helpers.categories import EVERY
 from helpers.command_line import laptop_view, save_png
 from omad.cli.main import run
 from omad.common.errors import InputError
+from omad.data.procedural import generate
 from omad.estimation.estimate import Estimate
 from omad.estimation.estimator import Estimator
 from omad.geometry.camera import Camera
+from omad.geometry.rigid import carry
+from omad.objects.model import ObjectModel
 from omad.output.frame_image import frame_image
 from omad.output.page import page_text
-from omad.output.picture import MAX_SIDE, PART_COLOURS, figure, part_colours, show
+from omad.output.picture import MAX_SIDE, PART_COLOURS, axis_segments, figure, part_colours, show
 from omad.sensing.camera_files import CameraFile
 from omad.sensing.colour_mask import ColourCamera
 from omad.sensing.observation import Observation
@@ -33,6 +36,10 @@ def seen() -> tuple[Observation, Estimate]:
     view = laptop_view()
     observation = Observation.from_depth(view.depth, view.camera, color=np.full((480, 640, 3), RED, np.uint8))
     return observation, Estimator.from_pretrained("laptop")(observation)
+
+
+def centres(model: ObjectModel) -> np.ndarray:
+    return np.stack([part.vertices.mean(0) for part in model.parts])
 
 
 def test_the_object_fills_its_panels():
@@ -55,6 +62,21 @@ def test_every_part_has_its_own_colour_and_none_is_that_of_no_part(parts):
     assert part_colours(parts - 1).tolist() == colours[-1].tolist()
     first = [[0.35, 0.6, 0.95], [1.0, 0.6, 0.25], [0.45, 0.8, 0.4], [0.85, 0.4, 0.75]]  # as in older pictures
     assert colours[1:5].tolist() == first[:parts]
+
+
+def test_axes_are_drawn_where_joints_are_now_and_slides_through_what_they_move():
+    lamp, chest = (generate(EVERY[name], 3, "test") for name in ("desk_lamp", "drawer"))
+    placed = lamp.placed(lamp.limits[:, 1])
+    segments = axis_segments(EVERY["desk_lamp"], placed, centres(lamp)[list(EVERY["desk_lamp"].part_of_keypoint)])
+    for parent, pivot, (start, end) in zip(lamp.tree.parents, lamp.pivots, segments, strict=True):
+        on_axis = carry(placed.T_camera_part[parent], pivot)
+        assert np.linalg.norm(np.cross(end - start, on_axis - start)) < 1e-9
+    keypoints = centres(chest)[list(EVERY["drawer"].part_of_keypoint)]
+    slides = axis_segments(EVERY["drawer"], chest.placed(np.zeros(3)), keypoints)
+    np.testing.assert_allclose(slides.mean(1), centres(chest)[1:], atol=1e-9)
+    flat = np.linspace([-1.0, 0.0, -1.0], [1.0, 0.0, 1.0], EVERY["scissors"].num_keypoints)
+    [[start, end]] = axis_segments(EVERY["scissors"], generate(EVERY["scissors"], 3, "test").placed(np.zeros(1)), flat)
+    assert np.linalg.norm(end - start) > 0.5
 
 
 def test_a_point_right_before_the_lens_makes_no_boundless_picture():

@@ -8,13 +8,13 @@ import numpy as np
 import torch
 
 from omad.geometry.joint_kinds import Motion
-from omad.geometry.kinematics import KinematicTree, part_transforms
+from omad.geometry.kinematics import KinematicTree
 from omad.geometry.mesh import Mesh, closed, sample_triangles, triangle_normals
 from omad.geometry.rigid import box
 from omad.geometry.transforms import MIRROR_X
 
 from .category import Category
-from .pose import mirrored_axes
+from .pose import ObjectPose, mirrored_axes
 
 NEIGHBOURS = 10
 """Of a surface point, that tell its normal and how much of the surface it stands for."""
@@ -108,9 +108,13 @@ class ObjectModel:
 
     def part_transforms(self, states: np.ndarray, T_camera_base: np.ndarray | None = None) -> np.ndarray:
         """(K, 4, 4) canonical -> camera (or base, if no pose is given) for joint states (J,)."""
+        return self.placed(states, T_camera_base).T_camera_part
+
+    def placed(self, states: np.ndarray, T_camera_base: np.ndarray | None = None) -> ObjectPose:
+        """Parts and joints in the camera (or base, if no pose is given) for joint states (J,)."""
         pose = np.eye(4) if T_camera_base is None else T_camera_base
         batch = [torch.as_tensor(np.asarray(a, dtype=np.float64))[None] for a in (self.axes, self.pivots, states, pose)]
-        return part_transforms(self.tree, *batch)[0].numpy()
+        return ObjectPose.at(self.tree, *batch).rows()[0]
 
     def posed(self, states: np.ndarray, T_camera_base: np.ndarray | None = None) -> tuple[Mesh, ...]:
         """Every part where it is at joint states (J,)."""

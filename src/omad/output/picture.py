@@ -19,8 +19,10 @@ from omad.data.rendering.rasteriser import NOTHING, Rendering, rasterise, render
 from omad.estimation.estimate import Estimate, chance
 from omad.geometry.camera import NEAREST, STANDARD_CAMERA, Camera
 from omad.geometry.mesh import merge_meshes
-from omad.geometry.rigid import box, carry
+from omad.geometry.rigid import box, carry, carry_each
 from omad.model.surfaces.agreement import Overlay
+from omad.objects.category import Category
+from omad.objects.model import diagonal
 from omad.objects.pose import ObjectPose
 from omad.sensing.observation import Observation
 
@@ -47,6 +49,8 @@ PANEL, TITLE, HEAD = 5.0, 0.35, 0.9
 """Inches: the width of a panel, what its title and the figure's take."""
 EDGE, FLATTEST = 0.06, 0.6
 """Of the object's size, what is left free around it; and the least that a panel is high or wide, of its other side."""
+STUB = 0.15
+"""Of the object's size, half of a joint's axis at least: that of scissors is no longer than they are thick."""
 MAX_DRAWN = 6000
 """Points of a cloud that are drawn at most."""
 
@@ -89,10 +93,10 @@ def figure(observation: Observation, estimate: Estimate, truth: ObjectPose | Non
         panels[1].imshow(observation.color)
     draw_points(panels[1], camera, observation.points, part_colours(estimate.part_labels))
     draw_keypoints(panels[1], camera, estimate)
-    _draw_axes(panels[1], camera, estimate)
+    category = estimate.category
+    _draw_axes(panels[1], camera, axis_segments(category, estimate.placed, estimate.keypoints))
     if truth is not None:
-        for axis, pivot in zip(truth.axes, truth.pivots, strict=True):
-            _draw_axis(panels[1], camera, axis_segment(axis, pivot, estimate.keypoints), "black", ":")
+        _draw_axes(panels[1], camera, axis_segments(category, truth, estimate.keypoints), "black", ":")
     panels[1].set_title("parts, keypoints, joint axes" + (" (true: dotted)" if truth is not None else ""))
 
     _draw_from_side(panels[2], observation.points, estimate)
@@ -104,7 +108,10 @@ def figure(observation: Observation, estimate: Estimate, truth: ObjectPose | Non
     for panel, name, states in zip(panels[4:], ("lower", "upper"), poses[1:], strict=True):
         panel.imshow(shaded(render(model, states, estimate.T_camera_base, wide)), extent=extent)
         panel.set_title(f"joints at {name} limit")
-        _draw_axes(panel, camera, estimate)
+        placed = model.placed(states, estimate.T_camera_base)
+        T_keypoint = placed.T_camera_part[list(category.part_of_keypoint)]
+        moved = carry_each(T_keypoint, estimate.canonical_keypoints)
+        _draw_axes(panel, camera, axis_segments(category, placed, moved))
     for panel, (left, right, top, bottom) in zip(np.delete(panels, 2), np.repeat(windows, (2, 3), 0), strict=True):
         panel.set(xlim=(left, right), ylim=(bottom, top), aspect="equal")
     states = ", ".join(map(str, estimate.joints))
@@ -189,21 +196,21 @@ def draw_keypoints(panel: Axes, camera: Camera, estimate: Estimate) -> None:
     panel.scatter(u, v, s=42, c=np.arange(len(u)), cmap="hsv", edgecolors="black", linewidths=0.6, zorder=3)
 
 
-def axis_segment(axis: np.ndarray, pivot: np.ndarray | None, around: np.ndarray) -> np.ndarray:
-    """(2, 3) ends of a joint's axis as it is drawn: as long as the points ``around`` (N, 3), and where they are."""
-    centre = around.mean(0)
-    half = 0.6 * np.ptp((around - centre) @ axis)
-    foot = centre if pivot is None else pivot + axis * (axis @ (centre - pivot))
-    return np.stack([foot - half * axis, foot + half * axis])
+def axis_segments(category: Category, placed: ObjectPose, keypoints: np.ndarray) -> np.ndarray:
+    """(J, 2, 3) ends of the joints' axes as they are drawn: as long as the object's ``keypoints`` (M, 3), and where
+    they are; a slide's, which has no place of its own, through the part that it moves."""
+    part_of, least, segments = np.array(category.part_of_keypoint), STUB * diagonal(box(keypoints)[None]), []
+    for joint, (axis, pivot, turns) in enumerate(zip(placed.axes, placed.pivots, category.turning, strict=True)):
+        centre = (keypoints if turns else keypoints[part_of == joint + 1]).mean(0)
+        half = max(0.6 * np.ptp(keypoints @ axis), least)
+        foot = pivot + axis * (axis @ (centre - pivot)) if turns else centre
+        segments.append([foot - half * axis, foot + half * axis])
+    return np.array(segments)
 
 
-def _draw_axes(panel: Axes, camera: Camera, estimate: Estimate) -> None:
-    for joint in estimate.joints:
-        _draw_axis(panel, camera, axis_segment(joint.axis, joint.pivot, estimate.keypoints), "crimson", "-")
-
-
-def _draw_axis(panel: Axes, camera: Camera, ends: np.ndarray, colour: str, style: str) -> None:
-    panel.plot(*camera.project(ends).T, style, color=colour, linewidth=2.5, zorder=4)
+def _draw_axes(panel: Axes, camera: Camera, segments: np.ndarray, colour: str = "crimson", style: str = "-") -> None:
+    for ends in segments:
+        panel.plot(*camera.project(ends).T, style, color=colour, linewidth=2.5, zorder=4)
 
 
 def shaded(rendering: Rendering) -> np.ndarray:

@@ -14,7 +14,7 @@ from omad.geometry.camera import Camera
 from omad.geometry.rigid import carry
 from omad.output.frame_image import frame_image, jpeg_uri
 from omad.output.page import filled
-from omad.output.picture import axis_segment, part_colours
+from omad.output.picture import axis_segments, part_colours
 from omad.sensing.observation import Observation
 
 from .tracker import TrackedEstimate
@@ -70,7 +70,7 @@ class TrackPage:
         if estimate is None:
             return {"picture": picture, "size": size}
         small = camera.zoomed(factor, -0.5, -0.5)  # a canvas counts from the pixel's corner
-        axes = [axis_segment(joint.axis, joint.pivot, estimate.keypoints) for joint in estimate.joints]
+        axes = axis_segments(estimate.category, estimate.placed, estimate.keypoints)
         dots = small.project(estimate.keypoints)
         lines = [small.project(ends).ravel() for ends in axes]
         return {"picture": picture, "size": size, "dots": np.round(dots, 1), "axes": np.round(lines, 1)}

@@ -12,7 +12,7 @@ from omad.estimation.estimate import Estimate
 from omad.geometry.camera import Camera
 from omad.objects.category import Category
 from omad.output.frame_image import frame_image
-from omad.output.picture import axis_segment, reading, shaded
+from omad.output.picture import axis_segments, reading, shaded
 from omad.sensing.observation import Observation
 
 from .tracker import TrackedEstimate
@@ -101,6 +101,5 @@ def _with_surface(image: Image.Image, camera: Camera, estimate: Estimate) -> Ima
 
 
 def _draw_axes(draw: ImageDraw.ImageDraw, camera: Camera, estimate: Estimate) -> None:
-    for joint in estimate.joints:
-        ends = camera.project(axis_segment(joint.axis, joint.pivot, estimate.keypoints))
-        draw.line(ends.ravel().tolist(), fill=(220, 20, 60), width=2)
+    for ends in axis_segments(estimate.category, estimate.placed, estimate.keypoints):
+        draw.line(camera.project(ends).ravel().tolist(), fill=(220, 20, 60), width=2)
