@@ -133,7 +133,7 @@ def test_a_hand_that_is_known_is_taken(estimator, views):
     seen = views[0].observation()
     assert [estimator(seen, Known(mirrored_probability=p)).of_other_hand for p in (0.0, 1.0)] == [False, True]
     for wrong in (2.0, np.nan):
-        with pytest.raises(InputError, match="mirrored_probability: .* is no probability; give 0 to 1"):
+        with pytest.raises(InputError, match=r"mirrored_probability: .* is no probability; give 0 to 1"):
             estimator(seen, Known(mirrored_probability=wrong))
 
 
