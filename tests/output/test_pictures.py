@@ -13,6 +13,7 @@ from PIL import Image
 
 from helpers.categories import EVERY
 from helpers.command_line import laptop_view, save_png
+from omad.applications.detection.detector import Detection
 from omad.cli.main import run
 from omad.common.errors import InputError
 from omad.data.procedural import generate
@@ -139,8 +140,12 @@ def test_estimates_print_as_one_line_that_tells_the_joints():
     )
     assert repr(joint) == f"<{joint} (revolute, -80.0° to 85.0°)>"
     assert "-0" not in joint.shown(-1e-9)
-    for value in (observation, estimate.initial, estimate.parts[0], estimate.parts):
+    thing = Detection(observation, {"laptop": 0.9, None: 0.1}, estimate, {})
+    assert repr(thing) == f"<Detection: laptop 90%: {joint}>"
+    for value in (observation, estimate.initial, estimate.parts[0], estimate.parts, estimate.object_model().parts):
         assert len(repr(value)) < 200
+    with pytest.raises(InputError, match=r"give omad.show\(observation, estimate\)"):
+        show(estimate, observation)
 
 
 def test_masks_may_be_jpeg(tmp_path, monkeypatch, capsys):

@@ -19,6 +19,9 @@ class Mesh:
     faces: np.ndarray
     """(F, 3) int64, counter-clockwise seen from outside where the mesh is closed."""
 
+    def __repr__(self) -> str:
+        return f"<Mesh: {len(self.vertices)} vertices, {len(self.faces)} faces>"
+
     @property
     def triangles(self) -> np.ndarray:
         """(F, 3, 3) corners of every face."""

@@ -21,18 +21,18 @@ MOST = 60
 
 
 def contact_sheet(models: Sequence[ObjectModel]) -> Figure:
-    """Every model from its front and a little from the right and above, at rest; below it, opened as far as it goes."""
+    """Every model from its front and a little from the right and above, at rest; below it, moved as far as it goes."""
     shown = models[:MOST]
     columns, rows = min(COLUMNS, len(shown)), -(-len(shown) // COLUMNS)
     fig, panels = blank_panels(2 * rows, columns, (2.6 * columns, 4.2 * rows))
     for index, model in enumerate(shown):
         row, column = divmod(index, columns)
-        opened = model.limits[np.arange(len(model.limits)), np.abs(model.limits).argmax(1)]
-        for below, states in enumerate((np.zeros(len(opened)), opened)):
+        moved = model.limits[np.arange(len(model.limits)), np.abs(model.limits).argmax(1)]
+        for below, states in enumerate((np.zeros(len(moved)), moved)):
             panels[2 * row + below, column].imshow(picture(model, states))
         panels[2 * row, column].set_title(model.name, fontsize=8)
     left = f"; {len(models) - len(shown)} more are not shown" if len(models) > len(shown) else ""
-    fig.suptitle(f"{models[0].category}: at rest, and opened{left}")
+    fig.suptitle(f"{models[0].category}: at rest; below, joints as far as they go{left}")
     plain_texts(fig)
     fig.tight_layout(rect=(0, 0, 1, 0.98))
     return fig

@@ -14,6 +14,7 @@ from matplotlib.patches import Patch
 from matplotlib.text import Text
 from PIL import Image
 
+from omad.common.errors import InputError
 from omad.common.files import write_atomic
 from omad.data.rendering.rasteriser import NOTHING, Rendering, rasterise, render
 from omad.estimation.estimate import Estimate, chance
@@ -143,7 +144,10 @@ def blank_panels(
 
 
 def show(observation: Observation, estimate: Estimate, path: str | Path | None = None) -> Figure:
-    """Draw an estimate; write it to ``path`` (PNG) where one is given, and return the figure (notebooks display it)."""
+    """Draw an estimate; write it to ``path`` (PNG) where one is given, and return the figure (notebooks display it).
+    Raises InputError where an estimate comes first."""
+    if isinstance(observation, Estimate):
+        raise InputError("show: was given the estimate first; give omad.show(observation, estimate)")
     fig = figure(observation, estimate)
     if path is not None:
         save(fig, path)

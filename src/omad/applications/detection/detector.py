@@ -11,7 +11,7 @@ from omad.common.arrays import as_doubles
 from omad.estimation.categories.late import AnyEstimator, LateEstimator
 from omad.estimation.categories.proposals import Proposals
 from omad.estimation.checks import FACTORS, USUAL_SIZE, WrongScale, wrong_scale
-from omad.estimation.estimate import Estimate, plain
+from omad.estimation.estimate import Estimate, chance, plain
 from omad.geometry.rigid import box as bounds
 from omad.model.checkpoint import shipped_categories
 from omad.model.proposals.network import Proposer, shipped_proposer
@@ -53,6 +53,10 @@ class Detection:
     """By its category, of its steadied points; None where it is of none."""
     evidence: dict[str, np.ndarray]
     """(13,) what speaks ``against`` each category that was fitted, of about its size, and proposed; its front last."""
+
+    def __repr__(self) -> str:
+        joints = "" if self.estimate is None else f": {', '.join(map(str, self.estimate.joints))}"
+        return f"<Detection: {called(self.likely)} {chance(self.likely_probability)}{joints}>"
 
     @property
     def category(self) -> str | None:
