@@ -38,6 +38,10 @@ def test_what_a_wide_lens_shows_beyond_the_picture_is_left_out():
     """Undone, a fisheye's corners lie outside of an image of the same size."""
     wide, flat = Distortion("equidistant", (0.3,)), np.full((480, 640), 1.0)
     seen = Observation.from_depth(flat, K, distortion=wide)
+    assert not seen.warnings
+    with_corners = Observation.from_depth(flat, K, distortion=Distortion("equidistant", (-0.3,)))
+    lost = 1 - len(with_corners.points) / flat.size
+    assert with_corners.warnings[0].startswith(f"{lost:.0%} of the points lie outside")
     assert len(seen.points) > 0.5 * flat.size
     assert seen.part(np.arange(len(seen.points))).mask.sum() > 0.5 * flat.size
     assert seen.inside((0, 0, 640, 480)).all()

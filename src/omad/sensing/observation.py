@@ -29,7 +29,8 @@ MOST_POINTS = 1_500_000
 """Of an observation: a network looks at hundreds, and what many millions of pixels say of an object, these do."""
 NEAREST, FEW = 0.05, 0.01
 """Of a cloud: points nearer than this share of its distance along z are wrong, where they are not more than this."""
-
+LOST = 0.1
+"""Of the points, how many may lie beyond an image whose lens is undone."""
 OFF_CENTRE = 0.12
 """Of the image's side, by how much a principal point may be off its middle; of cameras it is by a few per cent, but an
 image may have been cropped."""
@@ -147,6 +148,9 @@ class Observation:
             if (count := np.count_nonzero(kept)) < MIN_POINTS:
                 lie = f"distortion: without it {count} of {len(points)} points lie within the image"
                 raise NothingSeen(f"{lie}, at least {MIN_POINTS} are needed; check its coefficients")
+            if (lost := 1 - count / len(points)) > LOST:
+                where = "outside of the image as it is without its lens, and were left out"
+                warnings += (f"{lost:.0%} of the points lie {where}; turn the camera towards the object",)
             points, pixels, seen_at = points[kept], pixels[kept].astype(int), seen_at[kept]
         warnings = _doubts(camera) + odd_mask(mask, given) + warnings
         points, seen_in = points.astype(np.float32), {"every": every, "seen_at": seen_at}
