@@ -308,6 +308,8 @@ def test_writing_below_a_file_is_an_input_error(tmp_path: Path) -> None:
 def test_a_depth_scale_that_none_can_be_is_refused(scale: float) -> None:
     with pytest.raises(InputError, match=r"^depth scale .*: give metres per stored integer, 0\.001 for millimetres"):
         in_metres(np.full((60, 80), 900, np.uint16), scale)
+    with pytest.raises(InputError, match=r"^depth scale 5000: .* where 5000 integers are a metre, it is 0\.0002$"):
+        in_metres(np.full((60, 80), 900, np.uint16), 5000)
 
 
 @pytest.mark.filterwarnings("error")

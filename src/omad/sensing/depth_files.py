@@ -89,6 +89,9 @@ def in_metres(
         raise InputError(f"{stored.dtype} of shape {stored.shape} is no depth image {cure}")
     if stored.dtype.kind not in "iuf":
         raise InputError(f"dtype {stored.dtype} is no depth; store integers or floats")
+    if stored.dtype.kind != "f" and depth_scale is not None and depth_scale > 1:
+        meant = f"where {depth_scale:g} integers are a metre, it is {1 / depth_scale:g}"
+        raise InputError(f"depth scale {depth_scale:g}: is in metres per stored integer; {meant}")
     usual = 1.0 if stored.dtype.kind == "f" else metres_per_integer
     metres = np.empty(stored.shape, dtype=np.float32)
     scale = np.float64(usual if depth_scale is None else depth_scale)
