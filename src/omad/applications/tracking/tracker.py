@@ -114,10 +114,11 @@ class _Track:
     now: float
     common: np.ndarray
     """(N, N) covariance that the last believed answer shares with its neighbours."""
+    last_view: Placement
+    """Where it was when a frame last told of its shape."""
     doubt: float = 0.0
     """Evidence for the cold starts and against this track, nats per keypoint."""
     since_challenge: int = 0
-    last_view: Placement | None = None
 
 
 class Tracker:
@@ -184,10 +185,13 @@ class Tracker:
         step, spread = single.beta - self.shape.mean, single.covariance[n:, n:] + self.shape.covariance
         if self.shape.views and step @ np.linalg.solve(spread, step) > chi2.isf(config.gate, len(step)):
             self.shape = self._category_shape()
+        if not self.shape.views:
+            self.shape.update(single.beta, single.covariance[n:, n:], self.shape.count(0.0))
         covariance, turning = single.covariance[:n, :n], self.estimator.category.turning
         motion = MotionFilter(config.motion, turning, Placement.of(single), config.jitter * covariance)
         self._candidate = None
-        self._track = _Track(motion, single, time, time, (1 - config.jitter) * covariance)
+        common = (1 - config.jitter) * covariance
+        self._track = _Track(motion, single, time, time, common, Placement.of(single))
         return TrackedEstimate(time, "tracking", self._answer(self._track), single, None, restarted=True)
 
     def _believe(self, track: _Track, single: Estimate, surprise: float) -> TrackedEstimate:
@@ -197,7 +201,7 @@ class Tracker:
         track.last, track.believed, track.common = single, track.now, (1 - jitter) * covariance
         self._candidate, here = None, track.motion.placement
         # for the shape a frame counts by how far the view has moved since the last one that did
-        step = track.last_view.step_to(here) if track.last_view else np.zeros(n)
+        step = track.last_view.step_to(here)
         lengths = np.where(self.estimator.category.turning, 1, 1 / self._unit)
         share = self.shape.count(float(np.linalg.norm(step[:3]) + np.linalg.norm(step[6:] * lengths)))
         track.last_view = here
