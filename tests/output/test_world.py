@@ -39,6 +39,12 @@ def test_urdf(written):
         assert np.allclose(robot.get_transform(part.name), T, atol=1e-9)
 
 
+def test_one_format_by_its_name(written, tmp_path):
+    save_formats(written[1], laptop_view().observation(), tmp_path, "ply")
+    assert (tmp_path / "object.ply").exists()
+    assert not (tmp_path / "robot.urdf").exists()
+
+
 def test_mjcf(written):
     mujoco = pytest.importorskip("mujoco", reason="MuJoCo is an extra: pip install 'omad[mujoco]'")
     folder, estimate, links = written

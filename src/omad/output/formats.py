@@ -93,15 +93,16 @@ def save_formats(
     estimate: Estimate,
     observation: Observation,
     folder: str | Path,
-    formats: Sequence[str],
+    formats: str | Sequence[str],
     T_world_camera: np.ndarray | None = None,
 ) -> None:
-    """Write the formats named into ``folder``: ``robot.urdf``, ``robot.xml`` (MJCF), ``robot.usda``, ``object.ply`` and
-    parts, ``object.glb``, ``ros.json``, ``object.rrd``; in the camera frame, or in the world, z up, where the camera's
-    pose (4, 4) in it is given. Raises InputError."""
-    check_formats(formats, estimate.category)
+    """Write the formats named, or the one, into ``folder``: ``robot.urdf``, ``robot.xml`` (MJCF), ``robot.usda``,
+    ``object.ply`` and parts, ``object.glb``, ``ros.json``, ``object.rrd``; in the camera frame, or in the world, z up,
+    where the camera's pose (4, 4) in it is given. Raises InputError."""
+    names = [formats] if isinstance(formats, str) else formats
+    check_formats(names, estimate.category)
     export = Export(estimate, observation, Frame.of(T_world_camera))
-    for name in formats:
+    for name in names:
         FORMATS[name](export, Path(folder))
 
 
