@@ -92,7 +92,7 @@ class Import:
 def import_text(answer: dict[str, Any]) -> str:
     """What became of a folder of models."""
     lines = [f"{answer['category']}: {len(answer['used'])} of {answer['models']} models -> {answer['folder']}"]
-    lines += [f"{count} refused: {reason}" for reason, count in answer["reasons"].items()]
+    lines += [f"{count} refused: {reason}" for reason, count in answer["reasons"].items() if count > 1]
     lines += [f"  {refusal['name']}: {refusal['reason']}" for refusal in answer["refused"]]
     lines += [f"note on {note['name']}: {note['reason']}" for note in answer["notes"]]
     lines += [f"see whether they stand alike: {answer['picture']}"] if answer["picture"] else []
