@@ -37,7 +37,7 @@ LIMITS = {
     "laptop": (1.2, 0.7, 0.025),
     "lidded_box": (2.1, 1.5, 0.031),
     "microwave": (1.2, 0.95, 0.028),
-    "oven": (3.2, 1.4, 0.046),
+    "oven": (1.8, 1.1, 0.042),
     "pliers": (1.9, 0.9, 0.019),
     "refrigerator": (1.9, 1.1, 0.023),
     "refrigerator_two_doors": (2.4, 0.75, 0.014),
