@@ -10,7 +10,6 @@ from tyro.conf import OmitArgPrefixes, Positional
 
 from omad.common.errors import InputError
 from omad.common.files import replacing
-from omad.common.incoming import is_file
 from omad.common.lazy import lazy_imports
 from omad.sensing.input_options import FrameOptions, InputOptions
 
@@ -28,6 +27,7 @@ with lazy_imports():
     from omad.applications.tracking.sequence import TrackedSequence, earlier_track
     from omad.applications.tracking.streams import FrameReader, recorded, taken
     from omad.applications.tracking.tracker import Tracker, TrackerConfig
+    from omad.common.incoming import is_file
     from omad.common.runtime import keep_freed_memory
     from omad.output.formats import check_formats
     from omad.sensing.foreign import realsense

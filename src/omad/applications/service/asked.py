@@ -16,6 +16,8 @@ CHECKS = ("all", "few")
 SEGMENTS = ("plane",)
 FORMATS = ("json", "html")
 PNG_MAGIC = b"\x89PNG"
+A_NAME = 4096
+"""Bytes: what is shorter, and text, is the name of a file that was not sent."""
 HERE = {
     r",? or (on the command line )?--[a-z-]+[^,;:)]*": "",
     r"\bomad estimate a mask": "a mask",
@@ -58,7 +60,7 @@ class Asked:
         for name, what in (("depth", "a depth image's file"), ("intrinsics", "fx,fy,cx,cy or a camera's file")):
             if not told.get(name):
                 raise InputError(f"{name}: is missing; give {what}")
-        if told["depth"].isascii() and told["depth"].decode().isprintable():  # the name of a file, say
+        if len(told["depth"]) < A_NAME and told["depth"].isascii() and told["depth"].decode().isprintable():
             raise InputError("depth: not readable as an image; send the file itself, with curl as depth=@depth.png")
         texts = {name: _text(name, value) for name, value in told.items() if name not in ("depth", "mask")}
         read: dict[str, Any] = {name: texts[name] for name in ("intrinsics", "category") if name in texts}
