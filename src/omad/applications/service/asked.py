@@ -60,8 +60,6 @@ class Asked:
         for name, what in (("depth", "a depth image's file"), ("intrinsics", "fx,fy,cx,cy or a camera's file")):
             if not told.get(name):
                 raise InputError(f"{name}: is missing; give {what}")
-        if len(told["depth"]) < A_NAME and told["depth"].isascii() and told["depth"].decode().isprintable():
-            raise InputError("depth: not readable as an image; send the file itself, with curl as depth=@depth.png")
         texts = {name: _text(name, value) for name, value in told.items() if name not in ("depth", "mask")}
         read: dict[str, Any] = {name: texts[name] for name in ("intrinsics", "category") if name in texts}
         for name, among in (("segment", SEGMENTS), ("checks", CHECKS), ("format", FORMATS)):
@@ -80,6 +78,8 @@ class Asked:
 
     def observation(self, find: Find) -> Observation:
         """The object's points; ``find`` cuts it out where nothing tells which it is. Raises InputError."""
+        if len(self.depth) < A_NAME and self.depth.isascii() and self.depth.decode().isprintable():
+            raise InputError("depth: not readable as an image; send the file itself, with curl as depth=@depth.png")
         camera = parse_camera(self.intrinsics, "intrinsics")
         mask = None if self.mask is None else parse_mask(self.mask, "mask", self.mask_id)
         segment = "plane" if self.segment else None
