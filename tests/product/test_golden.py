@@ -29,7 +29,7 @@ LIMITS = {
     "desk_lamp": (2.9, 1.25, 0.024),
     "dishwasher": (2.1, 0.85, 0.05),
     "drawer": (0.055, 1.0, None),
-    "drawer_1": (0.046, 1.4, None),
+    "drawer_1": (0.04, 1.0, None),
     "drawer_2": (0.048, 1.3, None),
     "drawer_4": (0.055, 0.8, None),
     "drawer_5": (0.061, 0.95, None),
