@@ -321,13 +321,6 @@ def test_bad_sources(capsys):
     assert "dataset.json" in line
 
 
-def test_rendered_views_that_do_not_fit_the_question(capsys):
-    answer(capsys, "render", *LAPTOP, "--objects", "1", "--views", "1", "--output", "views")
-    source = ["--source", "views"]
-    assert "views" in refused(capsys, "eval", "pose", "--category", "drawer", *source)
-    assert "--depth-noise" in refused(capsys, "eval", "pose", *LAPTOP, *source, "--depth-noise", "on")
-
-
 @pytest.mark.parametrize(
     "command",
     [

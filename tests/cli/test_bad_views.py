@@ -1,4 +1,4 @@
-"""Rendered views whose truth or images cannot be are said to be so."""
+"""Rendered views whose truth or images cannot be, or that do not fit what is asked, are said to be so."""
 
 import json
 from pathlib import Path
@@ -34,3 +34,10 @@ def test_views_that_show_nothing_are_said_to(capsys):
     file.write_text(json.dumps({**json.loads(file.read_text()), "depth_scale": 1.0}))
     assert run(["eval", "pose", *LAPTOP, "--source", "views"]) == 1
     assert "1 of 1 views: depth: " in capsys.readouterr().err
+
+
+def test_rendered_views_that_do_not_fit_the_question(capsys):
+    answer(capsys, "render", *LAPTOP, "--objects", "1", "--views", "1", "--output", "views")
+    source = ["--source", "views"]
+    assert "views" in refused(capsys, "eval", "pose", "--category", "drawer", *source)
+    assert "--depth-noise" in refused(capsys, "eval", "pose", *LAPTOP, *source, "--depth-noise", "on")
