@@ -121,6 +121,21 @@ def test_files_beside_a_first_answer_are_not_taken_for_an_earlier_ones(capsys):
     assert all(file.is_file() for file in mine)
 
 
+def test_an_object_that_a_format_cannot_say_is_refused_and_the_others_are_written(capsys):
+    pytest.importorskip("pxr", reason="USD is an extra: pip install 'omad[usd]'")
+    net = load(OmadNet, find_weights("laptop"))
+    hinge = replace(net.category.joints[0], type="screw", pitch=1e-3)
+    net.category = replace(net.category, joints=(hinge,))
+    save(net, Path("own"), {})
+    images = [save_png("laptop.png"), save_png("chair.png", chair_view().depth)]
+    command = ["estimate", *images, "--category", "auto", "--weights", "own", *K, "--formats", "usd"]
+    found = answer(capsys, *command, code=2)
+    assert [(result["input"], result["category"]) for result in found["results"]] == [("chair.png", None)]
+    assert "laptop.png" in found["refused"][0]["reason"]
+    assert "turns and slides at once" in found["refused"][0]["reason"]
+    assert {file.name for file in Path("omad-estimate").iterdir()} == {"chair"}
+
+
 def test_a_category_of_ones_own_is_tried_beside_the_shipped_ones(capsys):
     net = load(OmadNet, find_weights("laptop"))
     net.category = replace(net.category, name="notebook")

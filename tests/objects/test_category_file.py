@@ -203,6 +203,7 @@ SLIPS = {
     "misspelt": ("metres_per_unit", "meters_per_unit", "meters_per_unit"),
     "misspelt below": ("axis =", "axes =", "parts[1].joint.axes"),
     "two of a name": ('name = "door"', 'name = "body"', "parts[0].name"),
+    "a part called as a frame": ('name = "door"', 'name = "world"', "parts[1].name"),
     "no joint": ("[parts.joint]\n", "[parts.join]\n", "parts[1].join"),
     "no type": ('type = "revolute"\n', "", "parts[1].joint.type"),
     "another type": ('"revolute"', '"hinge"', "parts[1].joint.type"),

@@ -35,6 +35,7 @@ from omad.output.rerun import save_rrd
 from omad.output.robots.mjcf import save_mjcf
 from omad.output.robots.robot import Robot, link_frames
 from omad.output.robots.urdf import save_robot
+from omad.output.robots.usd import save_usd
 from omad.output.ros import ros_messages
 
 PAGE = Path(__file__).parents[2] / "docs" / "formats.md"
@@ -253,6 +254,23 @@ def test_the_keyframe_gives_each_joint_its_own_state(tmp_path):
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "robot.xml"))
     told = {model.joint(number).name: state for number, state in enumerate(model.key_qpos[0])}
     assert told == pytest.approx({joint.name: joint.state for joint in estimate.joints}, abs=1e-5)
+
+
+def test_usd_tells_apart_names_that_it_must_change(tmp_path):
+    usd = pytest.importorskip("pxr.Usd", reason="USD is an extra: pip install 'omad[usd]'")
+    estimate = made_up((0, 0), ("prismatic", "revolute"))
+    spec = estimate.category
+    parts = tuple(replace(part, name=name) for part, name in zip(spec.parts, ("joints", "a b", "a-b"), strict=True))
+    joints = tuple(replace(joint, name=name) for joint, name in zip(spec.joints, ("a b", "a-b"), strict=True))
+    estimate = replace(estimate, category=replace(spec, parts=parts, joints=joints))
+    save_usd(Robot.of(estimate, "robot"), tmp_path / "robot.usda")
+    stage = usd.Stage.Open(str(tmp_path / "robot.usda"))
+    prims = list(stage.Traverse())
+    links = [prim.GetName() for prim in prims if "PhysicsRigidBodyAPI" in prim.GetAppliedSchemas()]
+    assert links == ["joints_", "a_b", "a_b_"]
+    moving = [prim for prim in prims if prim.GetTypeName() in ("PhysicsPrismaticJoint", "PhysicsRevoluteJoint")]
+    ends = {prim.GetName(): prim.GetRelationship("physics:body1").GetTargets()[0].name for prim in moving}
+    assert ends == {"a_b": "a_b", "a_b_": "a_b_"}
 
 
 def test_what_usd_cannot_say_is_told_before_anything_is_done():

@@ -117,6 +117,8 @@ class EstimateCommand(CategoryCommand):
                 view = _Read.of(file, name, reader)
                 with named(file):
                     found = solver(view.observation, reader.metres_per_number(file))
+                    if not found.none:
+                        check_formats(self.formats, found.estimate.category)
             except InputError as error:
                 if one:
                     raise

@@ -27,6 +27,8 @@ LONGEST_SIDE = 2.0
 """Of a part, as a share of the object's diagonal; 1 is the most that can be."""
 AUTO = "auto"
 """Stands for any category, and so is the name of none."""
+CAMERA, WORLD = "camera_optical_frame", "world"
+"""Frames that written objects hang on, and so the names of no part."""
 
 
 @dataclass(frozen=True)
@@ -163,6 +165,8 @@ class Category:
         for index, part in enumerate(self.parts):
             with within(f"parts[{index}]."):
                 _check_unique(part, self.parts)
+                if part.name in (CAMERA, WORLD):
+                    raise ValueError(f"name: {part.name} is what the object hangs on in a robot's file; rename it")
                 self._check_mirror(index, part)
         for index, joint in enumerate(self.joints):
             with within(f"parts[{index + 1}].joint."):

@@ -5,6 +5,8 @@ from typing import Any, Self
 
 import numpy as np
 
+from omad.objects import category
+
 
 @dataclass(frozen=True)
 class Frame:
@@ -20,8 +22,8 @@ class Frame:
     def of(cls, T_world_camera: Any | None) -> Self:
         """The world, z up, where the camera's pose (4, 4) in it is known; the camera otherwise."""
         if T_world_camera is None:
-            return cls("camera_optical_frame", np.eye(4))
-        return cls("world", np.asarray(T_world_camera, dtype=np.float64), upright=True)
+            return cls(category.CAMERA, np.eye(4))
+        return cls(category.WORLD, np.asarray(T_world_camera, dtype=np.float64), upright=True)
 
 
 CAMERA = Frame.of(None)

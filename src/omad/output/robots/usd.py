@@ -43,6 +43,8 @@ def check_joints(names: Sequence[str], motions: Sequence[Motion]) -> None:
 
 PARTS = ("Gf", "Sdf", "Tf", "Usd", "UsdGeom", "UsdPhysics", "Vt")
 """Modules of OpenUSD that are used."""
+JOINTS = "joints"
+"""The scope that they are in."""
 
 
 def _stage(pxr: Any, robot: Robot) -> Any:
@@ -53,24 +55,26 @@ def _stage(pxr: Any, robot: Robot) -> Any:
     scene = pxr.UsdPhysics.Scene.Define(stage, "/physics")
     scene.CreateGravityDirectionAttr(_vector(pxr, robot.down))
     scene.CreateGravityMagnitudeAttr(GRAVITY)
-    root = pxr.UsdGeom.Xform.Define(stage, f"/{_name(pxr, model.name)}").GetPrim()
+    root = pxr.UsdGeom.Xform.Define(stage, f"/{pxr.Tf.MakeValidIdentifier(model.name)}").GetPrim()
     stage.SetDefaultPrim(root)
     pxr.UsdPhysics.ArticulationRootAPI.Apply(root)
-    links = [_link(pxr, stage, robot, part) for part in range(len(model.parts))]
-    joints = pxr.UsdGeom.Scope.Define(stage, root.GetPath().AppendChild("joints")).GetPath()
-    fixed = pxr.UsdPhysics.FixedJoint.Define(stage, joints.AppendChild(f"{robot.root.name}_to_{links[0].name}"))
+    joints = pxr.UsdGeom.Scope.Define(stage, root.GetPath().AppendChild(JOINTS)).GetPath()
+    paths = [root.GetPath().AppendChild(name) for name in _names(pxr, model.part_names, (JOINTS,))]
+    links = [_link(pxr, stage, robot, part, path) for part, path in enumerate(paths)]
+    fast = f"{robot.root.name}_to_{links[0].name}"
+    fixed = pxr.UsdPhysics.FixedJoint.Define(stage, joints.AppendChild(fast))
     _put(pxr, fixed, 0, robot.T_root_link[0])
     fixed.CreateBody1Rel().SetTargets([links[0]])
     _put(pxr, fixed, 1, np.eye(4))
-    for joint, parent in enumerate(model.tree.parents):
-        _joint(pxr, stage, robot, joint, joints, (links[parent], links[joint + 1]))
+    names = _names(pxr, model.joint_names, (fast,))
+    for joint, (name, parent) in enumerate(zip(names, model.tree.parents, strict=True)):
+        _joint(pxr, stage, robot, joint, joints.AppendChild(name), (links[parent], links[joint + 1]))
     return stage
 
 
-def _link(pxr: Any, stage: Any, robot: Robot, part: int) -> Any:
-    """The path of a part's link."""
+def _link(pxr: Any, stage: Any, robot: Robot, part: int, path: Any) -> Any:
+    """``path``, where the part's link now is."""
     model, place, T = robot.model, robot.places[part], robot.T_root_link[part]
-    path = stage.GetDefaultPrim().GetPath().AppendChild(_name(pxr, model.part_names[part]))
     link = pxr.UsdGeom.Xform.Define(stage, path)
     link.AddTransformOp().Set(pxr.Gf.Matrix4d(T.T.tolist()))  # of row vectors
     pxr.UsdPhysics.RigidBodyAPI.Apply(link.GetPrim())
@@ -107,13 +111,13 @@ def _mesh(pxr: Any, stage: Any, path: Any, mesh: Mesh, place: np.ndarray) -> Any
     return shape
 
 
-def _joint(pxr: Any, stage: Any, robot: Robot, joint: int, scope: Any, ends: tuple[Any, Any]) -> None:
+def _joint(pxr: Any, stage: Any, robot: Robot, joint: int, path: Any, ends: tuple[Any, Any]) -> None:
     model, physics = robot.model, pxr.UsdPhysics
-    motion, limits, path = model.tree.motions[joint], model.limits[joint], _name(pxr, model.joint_names[joint])
+    motion, limits = model.tree.motions[joint], model.limits[joint]
     kind, drive, unit = (
         (physics.RevoluteJoint, "angular", np.degrees(1.0)) if motion.turns else (physics.PrismaticJoint, "linear", 1.0)
     )
-    made = kind.Define(stage, scope.AppendChild(path))
+    made = kind.Define(stage, path)
     made.CreateBody0Rel().SetTargets([ends[0]])
     made.CreateBody1Rel().SetTargets([ends[1]])
     made.CreateAxisAttr(pxr.UsdGeom.Tokens.x)
@@ -150,6 +154,11 @@ def _quaternion(pxr: Any, rotation: np.ndarray) -> Any:
     return pxr.Gf.Quatf(w, pxr.Gf.Vec3f(*xyz))
 
 
-def _name(pxr: Any, name: str) -> str:
-    """As a prim may be called."""
-    return pxr.Tf.MakeValidIdentifier(name)
+def _names(pxr: Any, names: Sequence[str], taken: Sequence[str]) -> list[str]:
+    """As prims beside those that are ``taken`` may be called, no two alike."""
+    found = list(taken)
+    for name in map(pxr.Tf.MakeValidIdentifier, names):
+        while name in found:
+            name += "_"
+        found.append(name)
+    return found[len(taken) :]
