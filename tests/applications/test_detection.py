@@ -78,6 +78,8 @@ def test_a_scale_at_which_things_are_objects_is_named(name: str, factor: float, 
     assert "at another scale" in said
     assert said.endswith(f"10 times too {'large' if factor > 1 else 'small'}; --depth-scale 0.001")
     true = detector.look(omad.Observation.from_depth(drawn.depth, drawn.camera))
+    as_true = [one.probability for one in detector._at_scale(look, 1 / factor)]
+    np.testing.assert_allclose(as_true, [one.probability for one in true.detections], atol=0.05)
     assert list(detector.scale_doubts(replace(true, detections=true.detections[-1:]), 0.001)) == []
 
 

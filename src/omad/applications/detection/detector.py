@@ -185,8 +185,7 @@ class Detector:
 
     def _at_scale(self, look: Look, factor: float) -> list[Detection]:
         """The things of a look as they would be judged in a frame so many times as large."""
-        things = [one.observation for one in look.detections]
-        scaled = [replace(thing, points=thing.points * np.float32(factor)) for thing in things]
+        scaled = [_scaled(one.observation, np.float32(factor)) for one in look.detections]
         return self._judged(scaled, look.planes * np.array([1, 1, 1, factor]))
 
     def whole(self, frame: Observation) -> Detection:
@@ -281,6 +280,11 @@ def _of_box(things: Sequence[np.ndarray], inside: np.ndarray | None) -> list[np.
     cut = [(thing[inside[thing]], len(thing)) for thing in things]
     cut = [(part, of) for part, of in cut if len(part) >= LEAST]
     return [part for part, of in cut if len(part) >= WITHIN * of] or [part for part, _ in cut]
+
+
+def _scaled(seen: Observation, factor: np.float32) -> Observation:
+    """All lengths so many times as large."""
+    return replace(seen, points=seen.points * factor, depth=None if seen.depth is None else seen.depth * factor)
 
 
 def _usual_size(category: Category) -> float:
