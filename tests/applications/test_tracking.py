@@ -160,6 +160,27 @@ def stapler() -> tuple[omad.Observation, omad.Estimate]:
     return observation, omad.Estimator.from_pretrained("stapler", "cpu")(observation)
 
 
+def test_a_frame_that_a_cold_start_explains_surprises_as_its_answer_does(stapler):
+    observation, found = stapler
+    seen = replace(found, probability=1.0)
+    aside = np.eye(4)
+    aside[0, 3] = 1.0
+    placed = replace(seen.placed, T_camera_part=aside @ seen.placed.T_camera_part)
+    wrong = replace(seen, placed=placed, keypoints=seen.keypoints + aside[:3, 3])
+
+    class Misled(omad.Estimator):
+        def __call__(self, *_):
+            return seen
+
+        def near(self, *_):
+            return wrong
+
+    tracker = omad.Tracker(Misled(omad.Estimator.from_pretrained("stapler", "cpu").net))
+    first, second = tracker(observation, 0.0), tracker(observation, 0.1)
+    assert (first.status, second.status, second.single) == ("tracking", "tracking", seen)
+    assert second.surprise == pytest.approx(0, abs=1e-6)
+
+
 def test_a_line_says_of_which_hand_the_shape_is(stapler):
     estimate = replace(stapler[1], hand_probability=0.75)
     for one in (estimate, estimate.in_mirror()):

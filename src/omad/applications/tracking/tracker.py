@@ -161,6 +161,7 @@ class Tracker:
         if not believed or track.doubt > 0 or track.since_challenge == self.config.challenge_every:
             track.since_challenge = 0
             single, believed = self._challenge(track, single, self.estimator(observation, known), believed)
+            surprise = self._surprise(track, single)
         if believed:
             return self._believe(track, single, surprise)
         plausible = self._plausible(single)
