@@ -40,7 +40,7 @@ def jar_of_two_joints(folder: Path) -> tuple[Path, object]:
 def test_a_turn_and_a_slide_about_one_axis_are_a_screw(rest, tmp_path):
     spec = tmp_path / "jar.toml"
     bottle = JAR.replace("my_jar", "bottle").replace('"jar"', '"bottle"')
-    spec.write_text(bottle.replace('rest = "zero"', 'rest = "closed"'))
+    spec.write_text(bottle.replace('rest = "zero"', f'rest = "{rest}"'))
     file, made = jar_of_two_joints(tmp_path)
     found = import_model(file, get_category(spec))
     assert found.tree == made.tree

@@ -7,26 +7,22 @@ from typing import get_args
 
 import numpy as np
 import pytest
-import trimesh
 from scipy.spatial.transform import Rotation
 
 from helpers.categories import CATEGORIES, CHEST, DISHWASHER, EVERY, LAPTOP
 from helpers.kinematics_by_yourdfpy import largest_gap
+from helpers.own_models import box
 from helpers.same_models import assert_same
 from omad.common.errors import InputError
 from omad.data.procedural import generate
 from omad.data.urdf_import.articulation import read_articulation, read_urdf
 from omad.data.urdf_import.folder import import_model, load_folder
-from omad.data.urdf_import.rest_states import RULES
+from omad.data.urdf_import.rest_states import RULES, rest_state
+from omad.geometry.joint_kinds import Motion
 from omad.geometry.mesh import Mesh
 from omad.objects.category import Category, RestRule
 from omad.objects.model import ObjectModel
 from omad.objects.urdf import write_urdf
-
-
-def box(low, high) -> Mesh:
-    solid = trimesh.creation.box(bounds=[low, high])
-    return Mesh(np.array(solid.vertices), np.array(solid.faces))
 
 
 def as_object(category: Category, parts: list[Mesh], pivot, limits=None) -> ObjectModel:
@@ -350,6 +346,13 @@ def test_folders_without_objects_are_refused(tmp_path):
         load_folder(tmp_path / "gone", DISHWASHER)
     with pytest.raises(InputError, match=r"\.urdf"):
         load_folder(tmp_path, DISHWASHER)
+
+
+def test_a_lid_inside_its_jar_rests_where_its_file_says_whichever_way_its_thread_runs():
+    jar, lid = box((-1, -1, -1), (1, 1, 1)), box((-0.5, -0.2, -0.5), (0.5, 0.2, 0.5))
+    for slide in (0.01, -0.01):
+        placed = np.array([0.0, 1.0, 0.0]), np.zeros(3), np.array([-2.0, 5.0])
+        assert rest_state(Motion(1.0, slide), "closed", jar, lid, *placed) == 0
 
 
 def test_every_rest_rule_has_its_geometry():

@@ -222,9 +222,10 @@ def _urdf_of(folder: Path) -> Path:
 
 def object_name(path: Path) -> str:
     """An object is called like its folder, a lone file like itself."""
+    path = Path(os.path.abspath(path))  # links to folders of one name are objects of several
     if path.name == partnet.URDF:
-        path = path.resolve().parent
-    return path.stem if is_urdf(path) else path.resolve().name
+        path = path.parent
+    return path.stem if is_urdf(path) else path.name
 
 
 def is_urdf(path: Path) -> bool:

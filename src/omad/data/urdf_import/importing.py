@@ -20,15 +20,25 @@ from tqdm import tqdm
 
 from omad.common.errors import InputError
 from omad.common.files import make_folder, write_json
-from omad.common.incoming import read_record
+from omad.common.incoming import read_record, read_text
 from omad.common.processes.locks import only_one
 from omad.objects.category import Category
 from omad.objects.model import ObjectModel
 from omad.objects.urdf import mesh_files, write_urdf
 
 from .articulation import read_urdf
-from .folder import MIRRORED, RECORD, ImportedModel, Refusal, import_with_notes, object_name, object_paths, size_doubts
-from .shapes import MissingMeshes
+from .folder import (
+    MIRRORED,
+    RECORD,
+    ImportedModel,
+    Refusal,
+    import_with_notes,
+    is_urdf,
+    object_name,
+    object_paths,
+    size_doubts,
+)
+from .shapes import MeshFiles, MissingMeshes
 
 _NO_NAME = "\0\\:" if os.name == "nt" else "\0"
 
@@ -77,14 +87,13 @@ def import_folder(
         raise InputError(f"{output}: would be written into the models it comes from; choose another folder")
     options = {"source": str(source.resolve()), "category": asdict(category), "scale": scale}
     options = json.loads(json.dumps({**options, "missing_meshes": missing_meshes}))
-    meshes = "" if mesh_folder is None else f" {_stamp(mesh_folder)}"
 
     def importing(path: Path) -> ImportedModel:
         return import_with_notes(path, category, scale, missing_meshes, mesh_folder)
 
     make_folder(output)
     with only_one(output, "an import"):
-        return _import_all(paths, category, output, _Record.open(output, options), importing, meshes)
+        return _import_all(paths, category, output, _Record.open(output, options), importing, mesh_folder)
 
 
 def _import_all(
@@ -93,17 +102,17 @@ def _import_all(
     output: Path,
     record: "_Record",
     importing: Callable[[Path], ImportedModel],
-    meshes: str,
+    mesh_folder: Path | None,
 ) -> ImportSummary:
-    """``meshes``: what changes where files do that lie in no model's folder."""
     for name in set(record.stamps) - {object_name(path) for path in paths}:
         record.drop(name)
     refused, notes, models = [], [], []
     for path in tqdm(paths, unit="model", file=sys.stderr, disable=not sys.stderr.isatty()):
         name = object_name(path)
-        file, stamp = output / name / f"{name}.urdf", _stamp(path) + meshes
+        file = output / name / f"{name}.urdf"
         try:
             _check_plain(name, f"{path}: an object's name")
+            stamp = _stamp(path, mesh_folder)
             if record.stamps.get(name) != stamp or not file.is_file():
                 found = importing(path)
                 record.drop(name)
@@ -238,11 +247,16 @@ def _digest(file: Path) -> str:
     return hashlib.sha256(file.read_bytes()).hexdigest()
 
 
-def _stamp(path: Path) -> str:
-    """Changes when a file of the object does."""
+def _stamp(path: Path, mesh_folder: Path | None) -> str:
+    """Changes when a file of the object does, or a mesh that it takes from elsewhere."""
     folder = path if path.is_dir() else path.parent
-    files = sorted(file for file in folder.rglob("*") if file.is_file())
-    text = "\n".join(f"{file.relative_to(folder)} {(s := file.stat()).st_size} {s.st_mtime_ns}" for file in files)
+    files = {file for file in folder.rglob("*") if file.is_file()}
+    for urdf in [file for file in files if is_urdf(file) and file.parent == folder] if path.is_dir() else [path]:
+        named = re.findall(r"filename *= *[\"'](.*?)[\"']", read_text(urdf, errors="replace"))
+        found = filter(None, map(MeshFiles(urdf, folder=mesh_folder).find, named))
+        files |= {file for file in found if not file.is_relative_to(folder.resolve())}
+    stats = ((file, file.stat()) for file in sorted(files))
+    text = "\n".join(f"{os.path.relpath(file, folder)} {stat.st_size} {stat.st_mtime_ns}" for file, stat in stats)
     return hashlib.sha256(text.encode()).hexdigest()
 
 

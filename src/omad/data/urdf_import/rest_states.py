@@ -116,7 +116,7 @@ def rest_state(
     source's zero state, in one frame with the axis (3,) unit and the pivot (3,); the limits (2,) are NaN where the
     source states none. A screw is closed where it is screwed in."""
     if motion.turns and motion.slide and rule == "closed":
-        return _closed_sliding(parent, child, axis, pivot, limits * motion.slide) / motion.slide
+        return _closed_sliding(parent, child, axis, pivot, np.sort(limits * motion.slide)) / motion.slide
     return RULES[motion.turns, rule](parent, child, axis, pivot, limits)
 
 

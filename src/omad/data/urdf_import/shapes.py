@@ -127,7 +127,10 @@ def _load_mesh(file: Path) -> Mesh:
                 mesh = _parse_obj(lines, str(file))
         else:  # the content alone, so that no other file is opened which it names
             content = io.BytesIO(read_bytes(file))
-            mesh = _as_mesh(trimesh.load(content, file_type=suffix[1:], force="mesh", process=False))
+            solid: Any = trimesh.load(content, file_type=suffix[1:], force="mesh", process=False)
+            if suffix == ".dae":  # the one format that tells its unit, as RViz and Gazebo take it
+                solid.convert_units("meters")
+            mesh = _as_mesh(solid)
         mesh = Mesh(mesh.vertices.reshape(-1, 3), mesh.faces.reshape(-1, 3))
         check_limit("mesh_faces", max(len(mesh.faces), len(mesh.vertices)), f"{file}: the mesh")
         if mesh.faces.size and not 0 <= mesh.faces.min() <= mesh.faces.max() < len(mesh.vertices):
