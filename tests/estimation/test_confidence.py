@@ -19,7 +19,7 @@ from omad.data.rendering.standard_views import standard_view
 from omad.estimation.checks import Check, is_doubtful
 from omad.estimation.confidence.model import FILE, Confidence
 from omad.estimation.confidence.perceptron import Perceptron
-from omad.estimation.confidence.signals import IMAGE, JOINT, WITHOUT_FRONT, Signals, _trace_between
+from omad.estimation.confidence.signals import IMAGE, JOINT, WITHOUT_FRONT, Signals, _trace_between, cut_off
 from omad.estimation.estimate import Estimate
 from omad.geometry.transforms import quaternion_to_matrix
 from omad.model.checkpoint import find_weights
@@ -125,6 +125,14 @@ def test_signals_are_finite_and_the_same_in_a_batch(plain: omad.Estimator) -> No
     assert told["distance"] == pytest.approx(
         np.log(np.linalg.norm(together[0].T_camera_base[:3, 3]) / LAPTOP.metres_per_unit + 1e-3)
     )
+
+
+def test_borders_are_as_long_in_large_images_as_in_small_ones() -> None:
+    for size, every in ((300, 1), (1500, 2)):
+        depth = np.ones((size, 2 * size), np.float32)
+        seen = omad.Observation.from_depth(depth, (size, size, size, size / 2))
+        assert seen.every == every
+        assert cut_off(seen) == pytest.approx({"left": 0.5**0.5, "right": 0.5**0.5, "top": 2**0.5, "bottom": 2**0.5})
 
 
 def test_the_front_is_looked_at_only_where_it_is_asked_for(plain: omad.Estimator) -> None:

@@ -157,7 +157,7 @@ def test_coco_run_lengths(tmp_path: Path) -> None:
     compressed = {"size": [40, 60], "counts": RING_COUNTS}
     ends = np.flatnonzero(np.diff(RING.T.ravel(), prepend=False))
     runs = np.diff([0, *ends, RING.size]).tolist()
-    for counts in (RING_COUNTS, RING_COUNTS.encode(), runs):
+    for counts in (RING_COUNTS, RING_COUNTS.encode(), runs, np.uint64(runs)):
         assert np.array_equal(as_mask({"size": [40, 60], "counts": counts}), RING)
     assert np.array_equal(as_mask({"size": list(np.int32([40, 60])), "counts": runs}), RING)
     (tmp_path / "annotation.json").write_text(json.dumps({"id": 5, "segmentation": compressed}))

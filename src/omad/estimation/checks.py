@@ -10,6 +10,7 @@ from omad.geometry.rigid import box
 from omad.objects.category import Category
 from omad.sensing.observation import Observation
 
+from .confidence.signals import cut_off
 from .estimate import Estimate
 from .evidence import agreement, explanation
 from .known import Known
@@ -228,9 +229,7 @@ def _view_doubts(observation: Observation) -> Iterator[Check]:
             "it is far away, mostly hidden, dark or shiny, or the mask is too small",
             "go nearer, look from another side, or check mask and box",
         )
-    mask = np.zeros((1, 1)) if observation.mask is None else observation.mask
-    borders = {"left": mask[:, 0], "right": mask[:, -1], "top": mask[0], "bottom": mask[-1]}
-    if cut := [name for name, border in borders.items() if border.sum() > CUT_OFF * np.sqrt(count)]:
+    if cut := [name for name, share in cut_off(observation).items() if share > CUT_OFF]:
         yield Check(
             "frame",
             f"the object runs out of the image ({', '.join(cut)})",

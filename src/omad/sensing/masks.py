@@ -241,7 +241,7 @@ def decode_runs(counts: str | bytes | Sequence[int], height: int, width: int) ->
     possible = runs.dtype.kind in "iu" and runs.ndim == 1 and 0 <= runs.min(initial=0) <= runs.max(initial=0) <= pixels
     if not possible or runs.sum() != pixels:
         raise InputError(f'mask: "counts" are no run lengths of {width}x{height} pixels; is "size" [height, width]?')
-    return np.repeat(np.arange(len(runs)) % 2 == 1, runs).reshape(width, height).T
+    return np.repeat(np.arange(len(runs)) % 2 == 1, runs.astype(np.int64)).reshape(width, height).T
 
 
 def _decompressed(text: str | bytes) -> list[int]:

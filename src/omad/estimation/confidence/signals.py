@@ -126,7 +126,7 @@ class Meter:
             np.log(_angle(_trace_between(own, turned)) + SMALLEST_MOVE),
             np.sqrt(share[:, -1]),
             np.log([len(one.points) for one in observations]),
-            [_cut_off(one) for one in observations],
+            [min(max(cut_off(one).values(), default=0.0), 1.0) for one in observations],
             np.log(np.sqrt(np.square(cloud.max(1) - cloud.min(1)).sum(1)) + LEAST),
             np.abs(view[:, 0]),
             view[:, 1],
@@ -182,10 +182,11 @@ def _trace_between(quaternions: np.ndarray, rotations: np.ndarray) -> np.ndarray
     return (w * w - (v * v).sum(1)) * R.trace(axis1=1, axis2=2) + 2 * (along + across)
 
 
-def _cut_off(observation: Observation) -> float:
-    """Length of the object's pixels along a border of the image, as a share of its width in pixels."""
-    mask = observation.mask
+def cut_off(observation: Observation) -> dict[str, float]:
+    """Length of the object's pixels along each border of the image, as a share of its width in pixels; none of a bare
+    cloud."""
+    mask, width = observation.mask, observation.every * len(observation.points) ** 0.5
     if mask is None:
-        return 0.0
-    longest = max(map(np.count_nonzero, (mask[:, 0], mask[:, -1], mask[0], mask[-1])))
-    return min(longest / len(observation.points) ** 0.5, 1.0)
+        return {}
+    borders = {"left": mask[:, 0], "right": mask[:, -1], "top": mask[0], "bottom": mask[-1]}
+    return {name: np.count_nonzero(border) / width for name, border in borders.items()}
