@@ -4,6 +4,7 @@ MuJoCo reads what was written and steps it, with gravity, for two seconds. Paren
 default, are checked, too.
 """
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -14,9 +15,12 @@ import omad
 from omad.data.procedural import generate
 from omad.data.rendering.standard_views import standard_view
 from omad.data.rendering.viewpoints import keep_possible
+from omad.geometry.rigid import carry_each
 from omad.model.checkpoint import shipped_categories
 from omad.objects.category_file import get_category
 from omad.output.formats import save_formats
+from omad.output.frame import CAMERA
+from omad.output.robots.robot import GRAVITY, HOLD, Robot
 
 mujoco = pytest.importorskip("mujoco", reason="MuJoCo is an extra: pip install 'omad[mujoco]'")
 
@@ -132,3 +136,28 @@ def test_pybullet_leaves_it_where_it_is(name, written):
     pybullet.disconnect(client)
     for state, joint in zip(after, estimate.joints, strict=True):
         assert abs(state - np.clip(joint.state, *joint.limits)) < STILL
+
+
+class Surfaces(Robot):
+    """Without bodies, which take long."""
+
+    bodies = ((), (), (), ())
+
+
+def test_friction_holds_whatever_hangs_on_a_joint_in_every_state_and_no_more():
+    category = get_category("desk_lamp")
+    model = generate(category, 1, "test")
+    still = np.zeros(3), CAMERA, np.repeat(np.eye(4)[None], 4, 0)
+    robot = Surfaces(model, *still)
+    masses = np.array([solid.mass for solid in robot.solids])
+    centres = np.array([solid.centre for solid in robot.solids]) + robot.places
+    worst = np.zeros(3)
+    for states in np.random.default_rng(0).uniform(*model.limits.T, (300, 3)):
+        placed = model.placed(states, np.eye(4))
+        pulls = masses[:, None] * (carry_each(placed.T_camera_part, centres) - placed.pivots[:, None])
+        moments = [np.cross(axis, pulls[joint, joint + 1 :].sum(0)) for joint, axis in enumerate(placed.axes)]
+        worst = np.maximum(worst, GRAVITY * np.linalg.norm(moments, axis=1))
+    assert (worst < 1.0001 * robot.friction / HOLD).all()
+    assert (worst > 0.8 * robot.friction / HOLD).all()
+    elsewhere = replace(model, pivots=model.pivots + 0.3 * model.axes)  # other points of the same axes
+    np.testing.assert_allclose(Surfaces(elsewhere, *still).friction, robot.friction)

@@ -39,7 +39,7 @@ def collision_bodies(model: ObjectModel) -> list[list[ConvexBody]]:
     bodies = [convex_bodies(part, FLUSH * size)[:MOST] for part in model.parts]
     for first, second in combinations(range(len(bodies)), 2):
         moving = _between(model, first, second)
-        places, direction = _relative(model, first, second, moving), _common_axis(model, moving)
+        places, direction = relative_places(model, first, second), _common_axis(model, moving)
         places = _meeting(bodies[first], bodies[second], places, GAP * size)
         if direction is not None:
             for side in (first, second):
@@ -63,9 +63,10 @@ def _between(model: ObjectModel, first: int, second: int) -> list[int]:
     return sorted(set(model.tree.path(first)) ^ set(model.tree.path(second)))
 
 
-def _relative(model: ObjectModel, first: int, second: int, moving: list[int]) -> np.ndarray:
+def relative_places(model: ObjectModel, first: int, second: int) -> np.ndarray:
     """(S, 4, 4) from the second part's canonical coordinates to the first one's, over all possible states of the joints
-    ``moving``."""
+    between the two."""
+    moving = _between(model, first, second)
     steps = SINGLE if len(moving) == 1 else DOUBLE if len(moving) == 2 else 5
     each = (np.linspace(low, high, steps) for low, high in model.limits[moving])
     tried = np.stack(np.meshgrid(*each, indexing="ij"), -1)

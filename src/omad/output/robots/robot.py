@@ -16,7 +16,7 @@ from omad.sensing.observation import Observation
 
 from ..frame import CAMERA, Frame
 from ..ply import part_surfaces
-from .collision import collision_bodies
+from .collision import collision_bodies, relative_places
 
 EMPTY = 0.02
 """Metres: sides of the box whose mass a link without a body has."""
@@ -96,16 +96,23 @@ class Robot:
 
     @cached_property
     def friction(self) -> np.ndarray:
-        """(J,) N m, or N of a slide: nothing moves by its own weight."""
+        """(J,) N m, or N of a slide: nothing moves by its own weight, whatever state the joints beyond are in."""
         tree, moments = self.model.tree, []
         for joint, motion in enumerate(tree.motions):
             moment = 0.0
-            for part, (solid, place) in enumerate(zip(self.solids, self.places, strict=True)):
+            for part, solid in enumerate(self.solids):
                 if joint in tree.path(part):
-                    arm = float(np.linalg.norm(solid.centre + place - self.places[joint + 1]))
+                    arm = self._arm(joint, part) if motion.turns else 0.0
                     moment += solid.mass * (abs(motion.turn) * arm + abs(motion.slide))
             moments.append(HOLD * GRAVITY * moment)
         return np.array(moments)
+
+    def _arm(self, joint: int, part: int) -> float:
+        """Metres, how far a part's centre of mass comes from a joint's axis at most."""
+        places = relative_places(self.model, self.model.tree.parents[joint], part)
+        centres = carry_each(places, self.solids[part].centre + self.places[part])
+        away = np.cross(self.model.axes[joint], centres - self.model.pivots[joint])
+        return float(np.linalg.norm(away, axis=-1).max())
 
     @property
     def damping(self) -> np.ndarray:
