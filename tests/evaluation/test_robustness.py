@@ -137,6 +137,16 @@ def test_images_are_spoilt_as_models_are_but_not_seen_from_elsewhere(estimator, 
     assert all(Path(path).stat().st_size > 10_000 for path in paths)
 
 
+@pytest.mark.parametrize(
+    ("total", "count", "taken"), [(10, 7, [0, 1, 2, 4, 5, 7, 8]), (9, 3, [0, 3, 6]), (3, 5, [0, 1, 2]), (0, 5, [])]
+)
+def test_some_images_are_taken_evenly_from_all_and_no_more_are_read(total, count, taken) -> None:
+    left = iter(range(total))
+    source = ViewSource(left, total, noisy=False).spread(count)  # pyright: ignore[reportArgumentType]
+    assert (list(source.views), source.total) == (taken, len(taken))
+    assert next(left, total) == (taken[-1] + 1 if taken else total)
+
+
 def test_every_row_says_what_it_is_and_no_two_are_alike() -> None:
     assert all(row.what for row in ROWS.values())
     assert len({row.spoil for row in ROWS.values()}) == len(ROWS)

@@ -51,8 +51,9 @@ class ViewSource:
     def spread(self, count: int) -> Self:
         """So many of the views, evenly over all of them."""
         total = min(count, self.total)
-        step = self.total // max(1, total)
-        return replace(self, views=islice(self.views, 0, max(0, (total - 1) * step + 1), step or 1), total=total)
+        chosen = {index * self.total // total for index in range(total)}
+        taken = zip(range(max(chosen, default=-1) + 1), self.views, strict=False)
+        return replace(self, views=(view for index, view in taken if index in chosen), total=total)
 
     def model_of(self, view: View) -> ObjectModel | None:
         """The object behind one of the views, where there is one."""
