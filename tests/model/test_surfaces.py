@@ -1,6 +1,9 @@
 """Surfaces that follow keypoints: exact where they must be, and nearer to what was seen once they are fitted."""
 
+import sys
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -20,6 +23,7 @@ from omad.model.fitting.state import State
 from omad.model.object_prior import object_keypoints
 from omad.model.omadnet import OmadNet
 from omad.model.priornet import PriorNet
+from omad.model.surfaces import bank as banks
 from omad.model.surfaces.bank import FILE, ShapeBank, train_command
 from omad.model.surfaces.fitting import Cloud, FitConfig, SurfaceFit
 from omad.model.surfaces.placed import Placed, VisibleSurface
@@ -71,6 +75,23 @@ def test_shipped_banks_are_of_the_shipped_priors_and_generators(name):
     models = [generate(net.category, index) for index in range(3)]
     found = object_keypoints(net, SurfaceBank.from_models(models, net.category)).numpy()
     assert np.allclose(bank.keypoints[:3], found, atol=2e-3), "omad train surface was not run after a change"
+
+
+def test_threads_share_a_bank(laptop, monkeypatch):
+    """Of a service, say; the bank keeps few of its templates."""
+    bank = replace(laptop[1].bank, _made={})
+    monkeypatch.setattr(banks, "REMEMBERED", 2)
+    monkeypatch.setattr(banks, "generate", lambda category, index: index)
+    monkeypatch.setattr(banks, "Template", SimpleNamespace(of=lambda index, *_: index))
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    try:
+        with ThreadPoolExecutor(4) as pool:
+            rows = [np.random.default_rng(seed).integers(0, 50, 3000).tolist() for seed in range(4)]
+            found = list(pool.map(lambda row: [bank.template(index) for index in row], rows))
+    finally:
+        sys.setswitchinterval(before)
+    assert found == rows
 
 
 def test_a_bank_of_foreign_models_keeps_their_meshes(tmp_path, laptop):

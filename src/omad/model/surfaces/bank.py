@@ -69,14 +69,17 @@ class ShapeBank:
         return found, np.sqrt(apart[found])
 
     def template(self, index: int) -> Template:
-        """Object ``index``; made at its first use."""
+        """Object ``index``; made at its first use. Several threads may ask."""
         index = int(index)
-        if index not in self._made:
-            if len(self._made) >= REMEMBERED:
-                self._made.pop(next(iter(self._made)))
+        found = self._made.get(index)
+        if found is None:
             unit, known = self.category.metres_per_unit, self.keypoints[index].astype(np.float64)
-            self._made[index] = Template.of(self._object(index), unit, known, self.of_part)
-        return self._made[index]
+            found = Template.of(self._object(index), unit, known, self.of_part)
+            if len(self._made) >= REMEMBERED:
+                oldest, *_ = self._made  # in one step, as another thread may put one in
+                self._made.pop(oldest, None)
+            self._made[index] = found
+        return found
 
     def _object(self, index: int) -> ObjectModel:
         if not self.meshes:
