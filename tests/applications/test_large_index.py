@@ -162,9 +162,13 @@ def test_what_is_wrong_is_named(tmp_path):
             LargeIndex.create(folder, other)
     with pytest.raises(InputError, match="betas"):
         index.add([Portion(np.full((1, SIZE), np.nan), entries(0, 1), np.eye(SIZE), 1)])
+    foreign = Signature("q", np.zeros(SIZE))  # another category's, whose betas are as long
+    for signatures in ([foreign], [foreign, query(np.zeros(SIZE))]):
+        with pytest.raises(InputError, match="prior"):
+            index.add([Portion.of(signatures, entries(0, len(signatures)), 1, SIZE)])
     with only_one(folder, "another command"), pytest.raises(InputError, match="writing here already"):
         index.add(stream(1))
-    assert len(LargeIndex.open(folder)) == 1000
+    assert len(LargeIndex.open(str(folder))) == 1000
 
 
 def test_damaged_files_are_refused_and_never_read_beyond_their_end(tmp_path):

@@ -206,6 +206,18 @@ def test_signatures_that_cannot_be_are_refused():
         index.add([Signature(index.space.prior, np.full(SIZE, np.nan))], [Entry("x")])
     with pytest.raises(InputError):
         index.add(signatures(betas[:2]), [Entry("x")])
+    with pytest.raises(InputError, match="choose of keypoints, beta, whitened"):
+        Space.of(prior(), LAPTOP, "keypoint")
+    with pytest.raises(InputError, match="choose of exact, faiss"):
+        ShapeIndex(index.space, "flat")
+
+
+def test_it_keeps_no_array_of_the_callers():
+    index, betas = filled(4)
+    given = betas[:1].astype(np.float32)
+    index.add_betas(given, [Entry("x")])
+    given[:] = 9
+    assert index.search(signatures(betas[:1])[0], np.int64(2))[1].distance == pytest.approx(0, abs=1e-6)
 
 
 def test_the_fingerprint_follows_basis_and_category():
@@ -265,6 +277,8 @@ def test_views_are_fused_by_what_each_knows():
     np.testing.assert_allclose(np.diag(fused.covariance), 1e-2, rtol=1e-3)
     plain = fuse([first, Signature("p", np.ones(SIZE))])
     np.testing.assert_allclose(plain.beta, 0.5)
+    held = Signature("p", np.full(SIZE, 2.0), np.zeros((SIZE, SIZE)))  # of an estimate whose beta was known
+    np.testing.assert_allclose(fuse([first, held, held]).beta, 2.0, rtol=1e-6)
     with pytest.raises(InputError, match="prior"):
         fuse([first, Signature("q", np.ones(SIZE))])
     with pytest.raises(InputError):

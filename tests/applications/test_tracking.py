@@ -181,6 +181,16 @@ def test_a_frame_that_a_cold_start_explains_surprises_as_its_answer_does(stapler
     assert second.surprise == pytest.approx(0, abs=1e-6)
 
 
+def test_a_shape_that_is_known_stays(stapler):
+    observation, found = stapler
+    tracker = omad.Tracker(omad.Estimator.from_pretrained("stapler", "cpu"))
+    known = omad.Known(beta=found.beta)
+    tracked = [tracker(observation, time, known).estimate for time in (0.0, 0.1, 0.2)]
+    for estimate in filter(None, tracked):
+        np.testing.assert_allclose(estimate.beta, found.beta, atol=1e-5)
+    assert tracked[-1] is not None
+
+
 def test_a_line_says_of_which_hand_the_shape_is(stapler):
     estimate = replace(stapler[1], hand_probability=0.75)
     for one in (estimate, estimate.in_mirror()):

@@ -23,6 +23,8 @@ LEAST = 1e-9
 """Length of a direction."""
 ROLLED = np.radians(20)
 """By more than this a camera is not about level."""
+HELD = 1e-9
+"""Variance of a shape that was held fixed, for who needs the inverse of its covariance."""
 SEEN_DOWN = 0.2
 """Share of gravity in the image, below which the camera looks up or down and has no roll."""
 
@@ -102,6 +104,11 @@ class Known:
 
 
 NOTHING_KNOWN = Known()
+
+
+def information(covariance: np.ndarray) -> np.ndarray:
+    """(D, D) inverse of a shape's covariance (D, D), which is zero where the shape was held fixed."""
+    return np.linalg.inv(covariance if covariance.any() else HELD * np.eye(len(covariance)))
 
 
 def check_known(known: Any, category: Category, basis_size: int) -> None:

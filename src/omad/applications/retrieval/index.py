@@ -6,8 +6,9 @@ import json
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from numbers import Integral
 from pathlib import Path
-from typing import Literal, Self
+from typing import Any, Literal, Self, get_args
 
 import numpy as np
 
@@ -82,6 +83,9 @@ class ShapeIndex:
     """
 
     def __init__(self, space: Space, backend: Backend = "exact") -> None:
+        """Raises InputError for another backend."""
+        if backend not in get_args(Backend):
+            raise InputError(f"backend {backend!r}: no such backend; choose of {', '.join(get_args(Backend))}")
         self.space, self.backend = space, backend
         self.entries: list[Entry] = []
         self._betas = np.zeros((0, len(space.factor)), dtype=np.float32)
@@ -117,7 +121,7 @@ class ShapeIndex:
 
     def add_betas(self, betas: np.ndarray, entries: Sequence[Entry]) -> None:
         """``add`` for many at a time: betas (n, D) that are known to be of this prior."""
-        betas = np.asarray(betas, dtype=np.float32)
+        betas = np.array(betas, dtype=np.float32)  # the caller's may change
         if betas.shape != (len(entries), len(self.space.factor)) or not np.isfinite(betas).all():
             raise InputError(f"betas: expected finite ({len(entries)}, {len(self.space.factor)}), got {betas.shape}")
         self._added.append(betas)
@@ -130,8 +134,7 @@ class ShapeIndex:
         whatever the backend. Raises InputError for a signature of another prior, and where its covariance is needed
         and not known."""
         self.space.check(signature)
-        if not isinstance(count, int) or count < 1:
-            raise InputError(f"count {count}: give a whole number from 1")
+        count = whole(count)
         if by_information:
             if signature.covariance is None:
                 raise InputError("the query's covariance is not known; leave out the weighting by information")
@@ -225,6 +228,13 @@ class ShapeIndex:
         if "graph" in arrays and head.sha256 is not None:
             index._search = GraphSearch.from_bytes(arrays["graph"])
         return index
+
+
+def whole(count: Any) -> int:
+    """How many hits are asked for. Raises InputError for what is no such number."""
+    if not isinstance(count, Integral) or count < 1:
+        raise InputError(f"count {count}: give a whole number from 1")
+    return int(count)
 
 
 def hit_of(entry: Entry, distance: float, query: Signature) -> Hit:

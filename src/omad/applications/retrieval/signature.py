@@ -3,7 +3,7 @@
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, Self
+from typing import Literal, Self, get_args
 
 import numpy as np
 import torch
@@ -14,6 +14,7 @@ from omad.common.errors import InputError
 from omad.data.surface_bank import SurfaceBank
 from omad.estimation.checks import SURE_OF_HAND
 from omad.estimation.estimate import Estimate
+from omad.estimation.known import information
 from omad.model.object_prior import object_keypoints
 from omad.model.prior import OmadPrior
 from omad.model.priornet import PriorNet
@@ -66,7 +67,10 @@ class Space:
     @classmethod
     def of(cls, prior: OmadPrior, category: Category, metric: Metric = "keypoints") -> Self:
         """``keypoints``: RMS distance in metres between canonical keypoints; ``beta``: that of plain beta, as in the
-        paper; ``whitened``: in standard deviations of beta over the prior's training objects."""
+        paper; ``whitened``: in standard deviations of beta over the prior's training objects. Raises InputError for
+        another metric."""
+        if metric not in get_args(Metric):
+            raise InputError(f"metric {metric!r}: no such metric; choose of {', '.join(get_args(Metric))}")
         size = prior.basis_size
         if metric == "keypoints":
             basis = as_doubles(prior.basis).reshape(-1, size)
@@ -80,14 +84,18 @@ class Space:
 
     def check(self, signature: Signature) -> None:
         """Raises InputError where the signature speaks another prior's language."""
-        if signature.prior != self.prior:
-            both = f"the signature is of prior {signature.prior}, the index of prior {self.prior} ({self.category})"
-            cure = "use the weights that made the index, or build it anew"
-            raise InputError(f"{both}: their betas do not compare; {cure}")
+        self.check_prior(signature.prior)
         size = len(self.factor)
         numbers(signature.beta, size, what="beta")
         if signature.covariance is not None:
             numbers(signature.covariance, size, size, what="covariance of beta")
+
+    def check_prior(self, prior: str) -> None:
+        """Raises InputError for another prior's fingerprint."""
+        if prior != self.prior:
+            both = f"the signature is of prior {prior}, the index of prior {self.prior} ({self.category})"
+            cure = "use the weights that made the index, or build it anew"
+            raise InputError(f"{both}: their betas do not compare; {cure}")
 
 
 def prior_fingerprint(prior: OmadPrior, category: Category) -> str:
@@ -145,17 +153,24 @@ def fuse(signatures: Sequence[Signature]) -> Signature:
     for none, and for signatures of several priors."""
     if not signatures:
         raise InputError("no view to take a signature from; give at least one")
-    if len({signature.prior for signature in signatures}) > 1:
-        raise InputError("the views' signatures are of several priors; estimate all with the same weights")
+    prior = prior_of(signatures)
     mirrored, signatures = _of_likelier_hand(signatures)
     betas = np.stack([signature.beta for signature in signatures])
     covariances = [signature.covariance for signature in signatures if signature.covariance is not None]
     if len(covariances) < len(signatures):
-        return Signature(signatures[0].prior, betas.mean(0), None, mirrored)
-    information = np.linalg.inv(np.stack(covariances))
-    covariance = np.linalg.inv(information.sum(0))
-    beta = covariance @ np.einsum("vij,vj->i", information, betas)
-    return Signature(signatures[0].prior, beta, covariance, mirrored)
+        return Signature(prior, betas.mean(0), None, mirrored)
+    each = np.stack([information(covariance) for covariance in covariances])
+    covariance = np.linalg.inv(each.sum(0))
+    beta = covariance @ np.einsum("vij,vj->i", each, betas)
+    return Signature(prior, beta, covariance, mirrored)
+
+
+def prior_of(signatures: Sequence[Signature]) -> str:
+    """Fingerprint of the prior that all are of. Raises InputError where they are of several."""
+    prior, *others = {signature.prior for signature in signatures}
+    if others:
+        raise InputError("the signatures are of several priors; estimate all with the same weights")
+    return prior
 
 
 def _of_likelier_hand(signatures: Sequence[Signature]) -> tuple[float | None, Sequence[Signature]]:

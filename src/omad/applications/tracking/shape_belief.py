@@ -8,6 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from omad.estimation.known import information
+
 
 @dataclass(frozen=True)
 class ShapeConfig:
@@ -47,5 +49,5 @@ class ShapeBelief:
 
 def _natural(mean: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     """(D, D + 1) information matrix and vector of a Gaussian."""
-    information = np.linalg.inv(covariance)
-    return np.c_[information, information @ mean]
+    precision = information(covariance)
+    return np.c_[precision, precision @ mean]

@@ -16,7 +16,7 @@ from omad.common.files import make_folder
 from omad.common.incoming import read_arrays
 from omad.common.processes.locks import only_one
 
-from ..index import Entry, Hit, ShapeIndex, hit_of, nearest_objects
+from ..index import Entry, Hit, ShapeIndex, hit_of, nearest_objects, whole
 from ..search import Neighbours
 from ..signature import Signature, Space, information_factor
 from . import lists as ivf
@@ -46,8 +46,9 @@ class LargeIndex:
         self._show(manifest)
 
     @classmethod
-    def open(cls, folder: Path) -> Self:
+    def open(cls, folder: str | Path) -> Self:
         """Raises InputError for what is no catalogue, or is damaged."""
+        folder = Path(folder)
         manifest = read_manifest(folder)
         while True:
             try:
@@ -58,8 +59,9 @@ class LargeIndex:
                     raise
 
     @classmethod
-    def create(cls, folder: Path, space: Space) -> Self:
+    def create(cls, folder: str | Path, space: Space) -> Self:
         """An empty one, or the one that is there. Raises InputError where that is of another space."""
+        folder = Path(folder)
         if (folder / FILE).exists():
             found = cls.open(folder)
             if (found.space.prior, found.space.metric) != (space.prior, space.metric):
@@ -110,8 +112,7 @@ class LargeIndex:
     def search(self, signature: Signature, count: int = 10, by_information: bool = False) -> list[Hit]:
         """As ``ShapeIndex.search``, nearly always; ``by_information`` among the ``RANKED_AGAIN`` nearest."""
         self.space.check(signature)
-        if not isinstance(count, int) or count < 1:
-            raise InputError(f"count {count}: give a whole number from 1")
+        count = whole(count)
         if by_information and signature.covariance is None:
             raise InputError("the query's covariance is not known; leave out the weighting by information")
         asked = max(count, RANKED_AGAIN) if by_information else count
@@ -146,7 +147,7 @@ class LargeIndex:
     def add(self, portions: Iterable[Portion], source: str = "") -> None:
         """Add a stream of entries; what is not yet written is in memory, at most some hundred thousand of them. After
         a kill all that was written is there, and ``taken`` tells how many inputs of ``source`` need not come again.
-        Raises InputError where another process adds."""
+        Raises InputError where another process adds, and for entries of another prior."""
         with only_one(self.folder, "another command"):
             self._show(read_manifest(self.folder))
             for some in _gathered(portions):
@@ -162,6 +163,7 @@ class LargeIndex:
     def _add_part(self, portions: list[Portion], source: str) -> None:
         manifest, size = self.manifest, len(self.space.factor)
         for portion in portions:
+            self.space.check_prior(portion.prior or self.space.prior)
             if portion.betas.shape != (len(portion.entries), size) or not np.isfinite(portion.betas).all():
                 raise InputError(f"betas: expected finite ({len(portion.entries)}, {size}), got {portion.betas.shape}")
         covariances = np.array(manifest.covariances) + sum(portion.covariances for portion in portions)
@@ -237,9 +239,9 @@ class LargeIndex:
         return found
 
 
-def open_index(path: Path) -> ShapeIndex | LargeIndex:
+def open_index(path: str | Path) -> ShapeIndex | LargeIndex:
     """A catalogue of either kind: a file, or a folder. Raises InputError."""
-    return LargeIndex.open(path) if path.is_dir() else ShapeIndex.load(path)
+    return LargeIndex.open(path) if Path(path).is_dir() else ShapeIndex.load(path)
 
 
 def _portions_of(index: ShapeIndex | LargeIndex, first: int) -> Iterator[Portion]:

@@ -15,7 +15,7 @@ from omad.common.errors import InputError
 from omad.common.incoming import is_file, map_array
 
 from ..index import Entry, with_hands
-from ..signature import Signature
+from ..signature import Signature, prior_of
 from .manifest import CURE, StoredPart, to_disk
 
 BETAS, BLOB, ENDS = ".betas.npy", ".entries", ".ends.npy"
@@ -34,14 +34,17 @@ class Portion:
     """(D, D) sum of the known ones."""
     taken: int
     """Inputs of the source that it was made of, those that gave no entry too."""
+    prior: str | None = None
+    """Fingerprint of the prior that betas are of; None: that of the catalogue."""
 
     @classmethod
     def of(cls, signatures: Sequence[Signature], entries: Sequence[Entry], taken: int, size: int) -> Self:
-        """Of signatures of ``size`` numbers."""
+        """Of signatures of ``size`` numbers. Raises InputError where they are of several priors."""
         known = [signature.covariance for signature in signatures if signature.covariance is not None]
         betas = np.array([signature.beta for signature in signatures]).reshape(-1, size)
         covariances = np.sum(known, axis=0) if known else np.zeros((size, size))
-        return cls(betas, with_hands(signatures, entries), covariances, taken)
+        prior = prior_of(signatures) if signatures else None
+        return cls(betas, with_hands(signatures, entries), covariances, taken, prior)
 
     @property
     def bytes(self) -> int:
