@@ -9,8 +9,9 @@ normal (Chen and Medioni, Object Modelling by Registration of Multiple Range Ima
 is more than the points' spacing, as at its rim. E: each keypoint has its own, and those of a part that turns share
 more: where its hinge is, no view tells well, and the angle should not pay for it.
 
-A surface point is a weighted sum of keypoints (``template``), so its derivative is that of the keypoints. Gauss-Newton:
-the pairs of nearest points are found anew in each step. One object, camera frame, category units.
+A surface point is a weighted sum of keypoints and a fixed offset (``template``). Its derivative is taken to be that of
+the keypoints: that offsets turn with their part is left out, with which answers are as good. Gauss-Newton: the pairs of
+nearest points are found anew in each step. One object, camera frame, category units.
 """
 
 from __future__ import annotations
