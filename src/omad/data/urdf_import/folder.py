@@ -76,7 +76,7 @@ def load_folder(
     """Import every object of ``folder``: one itself, or ``.urdf`` files, or one sub-folder an object, by name.
     Arguments as in ``import_model``. Objects that do not fit are listed with the reason. Raises InputError where
     ``folder`` does not exist or holds no object at all."""
-    models, refused, notes = [], [], []
+    models, scales, refused, notes = [], [], [], []
     for source in object_paths(folder):
         try:
             found = import_with_notes(source, category, scale, missing_meshes, mesh_folder)
@@ -84,8 +84,9 @@ def load_folder(
             refused.append(Refusal(object_name(source), str(error)))
         else:
             models.append(found.model)
+            scales.append(scale_of(source, category, scale))
             notes += [Refusal(found.model.name, note) for note in found.notes]
-    return FolderImport(models, refused, notes, size_doubts(models, category, scale))
+    return FolderImport(models, refused, notes, size_doubts(models, category, scales))
 
 
 def import_model(
@@ -122,8 +123,7 @@ def _imported(
     normalised = partnet.is_partnet(file)
     if normalised:
         partnet.check_source_name(file.parent, category)
-    if scale is None:
-        scale = category.metres_per_unit if normalised else 1.0
+    scale = scale_of(file, category, scale)
     raw = stated = read_articulation(file, scale, missing_meshes, mesh_folder)
     if normalised:
         raw = partnet.with_stated_axes(partnet.with_names(stated, file.parent), file.parent, scale)
@@ -143,13 +143,20 @@ def _imported(
     return ImportedModel(model, notes, _up(aligned.R_canonical_source))
 
 
-def size_doubts(models: Sequence[ObjectModel], category: Category, scale: float | None) -> list[Refusal]:
-    """Of models that are much too large or small, with the ``scale`` of their import that makes them usual."""
+def scale_of(path: Path, category: Category, scale: float | None) -> float:
+    """Metres per unit of a model's file, where ``scale`` is what was said of all."""
+    if scale is not None:
+        return scale
+    return category.metres_per_unit if partnet.is_partnet(_urdf_of(path) if path.is_dir() else path) else 1.0
+
+
+def size_doubts(models: Sequence[ObjectModel], category: Category, scales: Sequence[float]) -> list[Refusal]:
+    """Of models that are much too large or small, imported at ``scales``, with the one that makes them usual."""
     doubts = []
-    for model in models:
+    for model, scale in zip(models, scales, strict=True):
         if odd := odd_size(model.diagonal, category):
             factor = 10.0 ** round(math.log10(USUAL * category.metres_per_unit / model.diagonal))
-            cure = f"omad import --scale {factor * (scale or 1.0):g} (metres per unit of its file)"
+            cure = f"omad import --scale {factor * scale:g} (metres per unit of its file)"
             doubts.append(Refusal(model.name, f"{odd}; {cure} makes it {factor * model.diagonal:.3g} m"))
     return doubts
 

@@ -36,6 +36,7 @@ from .folder import (
     is_urdf,
     object_name,
     object_paths,
+    scale_of,
     size_doubts,
 )
 from .shapes import MeshFiles, MissingMeshes
@@ -106,7 +107,7 @@ def _import_all(
 ) -> ImportSummary:
     for name in set(record.stamps) - {object_name(path) for path in paths}:
         record.drop(name)
-    refused, notes, models = [], [], []
+    refused, notes, models, scales = [], [], [], []
     for path in tqdm(paths, unit="model", file=sys.stderr, disable=not sys.stderr.isatty()):
         name = object_name(path)
         file = output / name / f"{name}.urdf"
@@ -122,12 +123,14 @@ def _import_all(
                 write_urdf(found.model, file)
                 record.add(name, stamp, found, [file, *mesh_files(found.model, file)])
             said = record.notes.get(name, [])
-            models.append(replace(read_urdf(file, category), of_other_hand=MIRRORED in said))
+            model = replace(read_urdf(file, category), of_other_hand=MIRRORED in said)
+            scales.append(scale_of(path, category, record.options["scale"]))
+            models.append(model)
             notes += [Refusal(name, note) for note in said]
         except InputError as error:
             refused.append(Refusal(name, str(error)))
             record.drop(name)
-    doubts = size_doubts(models, category, record.options["scale"])
+    doubts = size_doubts(models, category, scales)
     summary = ImportSummary(models, refused, [*notes, *_lying(record.up, category.either_hand)], doubts)
     if models or (output / RECORD).is_file():
         record.write(summary.to_dict())
