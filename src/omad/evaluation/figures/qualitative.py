@@ -154,7 +154,7 @@ def _backdrop(panel: Axes, crop: Camera, row: Shown, seen: Observation, pale: fl
 
 
 def error_text(errors: PoseErrors, category: Category) -> str:
-    """Mean error over joints as a person reads it; lengths as percent of a category unit."""
+    """Mean error over joints as a person reads it; lengths in centimetres."""
     turns = np.array(category.turning)
     words = []
     if turns.any():
