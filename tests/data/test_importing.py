@@ -339,8 +339,8 @@ def test_what_is_odd_about_a_model_is_noted(capsys):
     assert "m across" in made["warnings"][0]["reason"]
     assert "--scale 1 " in made["warnings"][0]["reason"]
     write_urdf(microwave().stretched(np.full(3, 1000.0)), "partnet/1/mobility.urdf")  # not normalised
-    made = answer(capsys, "import", "partnet", *WITH, "--output", "normalised")
-    assert "--scale 0.0003 (metres per unit of its file) makes it 0.201 m" in made["warnings"][0]["reason"]
+    [doubt] = answer(capsys, "import", "partnet", *WITH, "--output", "normalised")["warnings"]
+    assert "--scale 0.0003 (metres per unit of its file) makes it 0.201 m" in doubt["reason"]
     assert load_folder("partnet", MICROWAVE, scale=0.0003).models[0].diagonal == pytest.approx(0.201, abs=1e-3)
     assert run(["render", *WITH, "--source", "large", "--output", "views", "--views", "1"]) == 0
     assert f"large: warning: {made['used'][0]} is " in capsys.readouterr().err
