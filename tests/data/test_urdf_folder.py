@@ -202,6 +202,13 @@ def test_missing_limits_come_from_the_spec_and_wide_ones_are_kept_within_it(tmp_
         np.testing.assert_allclose(model.limits, [LAPTOP.joints[0].limits])
 
 
+@pytest.mark.parametrize(("left_out", "limits"), [("lower", (0.0, 1.57)), ("upper", (-1.5, 0.0))])
+def test_a_limit_that_is_left_out_is_zero_as_urdf_has_it(left_out, limits, tmp_path):
+    wide = replace(plain_laptop(), limits=np.array([[-1.5, 1.57]]))
+    file = edited(write_urdf(wide, tmp_path), lambda root: root.find("joint/limit").attrib.pop(left_out))
+    assert read_articulation(file).joints[0].limits == limits
+
+
 def test_imported_models_survive_our_own_writer(tmp_path):
     model = import_model(write_urdf(seen_otherwise(generate(DISHWASHER, 5), 2), tmp_path / "a"), DISHWASHER)
     assert_same(read_urdf(write_urdf(model, tmp_path / "b"), DISHWASHER), model, 1e-9, 1e-12)

@@ -269,9 +269,9 @@ def _raw_joint(path: Path, joint: Any, slide: float, ends: tuple[int, int], T: n
         raise InputError(
             f"{path}: joint {joint.name!r} has no proper origin and axis; give numbers, and an axis of some length"
         )
-    limits = None
-    if joint.type != "continuous" and joint.limit is not None and None not in (joint.limit.lower, joint.limit.upper):
-        low, high = sorted(limit * motion.state_unit(unit) for limit in (joint.limit.lower, joint.limit.upper))
+    limits, stated = None, [] if joint.limit is None else [joint.limit.lower, joint.limit.upper]
+    if joint.type != "continuous" and any(limit is not None for limit in stated):
+        low, high = sorted((limit or 0.0) * motion.state_unit(unit) for limit in stated)  # 0 is URDF's default
         if not max(-low, high) <= FARTHEST * unit:  # not for NaN either
             raise InputError(f"{path}: the limits of joint {joint.name!r} are not finite; use a continuous joint")
         limits = low, high
