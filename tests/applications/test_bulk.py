@@ -67,7 +67,7 @@ def test_answers_are_those_of_single_calls_in_order():
     outcomes = list(estimate_stream(estimator(), map(observation, range(6)), workers=3, batch=1))
     assert [outcome.name for outcome in outcomes] == list("012345")
     assert_same(outcomes)
-    assert_same(list(estimate_stream(estimator(), map(observation, range(6)), workers=2, batch=4)))
+    assert_same(list(estimate_stream(estimator(), map(observation, range(6)), workers=np.int64(2), batch=4)))
 
 
 def test_a_bad_frame_is_told_of_in_its_place():

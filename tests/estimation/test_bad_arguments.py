@@ -2,6 +2,7 @@
 
 import multiprocessing
 import os
+from collections import deque
 from dataclasses import replace
 from functools import cache
 
@@ -13,6 +14,8 @@ from helpers.command_line import laptop_view
 from omad.common.errors import InputError
 from omad.estimation.estimator import Estimator, EstimatorConfig
 from omad.estimation.known import Known, Near
+from omad.estimation.world import gravity_in_camera, in_world
+from omad.output.formats import save_formats
 from omad.sensing.observation import Observation
 
 
@@ -38,7 +41,7 @@ def test_one_bad_observation_of_several_is_named(value):
         estimator()([good, with_point(value), good])
 
 
-@pytest.mark.parametrize("value", [None, 3, [None], ["x"], [laptop_view]])
+@pytest.mark.parametrize("value", [None, 3, [None], ["x"], [laptop_view], Observation(np.ones((60, 3), dtype=object))])
 def test_what_is_no_observation_is_named(value):
     with pytest.raises(InputError, match="observation"):
         estimator()(value)
@@ -48,7 +51,7 @@ def test_what_is_no_observation_is_named(value):
     "known",
     [Known(beta="x"), Known(beta=np.full(10, np.nan)), Known(beta=np.full(10, 1e30)), Known(joint_states=["x"]),
      Known(joint_states=[np.inf]), Known(gravity=[0, 0, np.nan]), Known(gravity=[0, 0, 1e300]),
-     Known(mirrored_probability=0.5)],
+     Known(mirrored_probability=0.5), Known(joint_states=[90.0])],
 )  # fmt: skip
 def test_what_cannot_be_known_is_refused(known):
     view = laptop_view().observation()
@@ -56,6 +59,42 @@ def test_what_cannot_be_known_is_refused(known):
         estimator()(view, known)
     with pytest.raises(InputError, match="known "):
         estimator().near(view, NEAR, known)
+
+
+def test_views_may_come_in_any_sequence_and_are_kept_in_sets():
+    view = laptop_view().observation()
+    views = deque([view, view.part(np.arange(len(view.points)) % 2 == 0)], maxlen=2)
+    first, second = estimator()(views)
+    assert first != second
+    assert views.index(views[1]) == 1
+    assert len({*views, first, second, first.joints[0], Known(beta=first.beta)}) == 6
+    assert len(estimator()(views, T_world_camera=[np.eye(4)] * 2)) == 2
+
+
+WRONG = [np.ones((4, 4)), np.eye(4)[:3], np.full((4, 4), np.nan), np.diag([1.0, 1.0, -1.0, 1.0]), "x"]
+
+
+@pytest.mark.parametrize("pose", WRONG)
+def test_what_is_no_pose_of_a_camera_is_refused_before_anything_is_written(pose, tmp_path):
+    view = laptop_view().observation()
+    estimate = estimator()(view)
+    point = estimate.keypoints[-1]
+    for ask in (
+        lambda: in_world(estimate, pose),
+        lambda: gravity_in_camera(pose),
+        lambda: save_formats(estimate, view, tmp_path, ["ply", "urdf"], pose),
+        lambda: estimate.waypoints("screen", point, 0.0, T_world_camera=pose),
+    ):
+        with pytest.raises(InputError, match="T_world_camera: "):
+            ask()
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("form", [np.ndarray.tolist, torch.tensor])
+def test_poses_of_cameras_may_be_lists_and_tensors(form):
+    estimate, pose = estimator()(laptop_view().observation()), np.diag([-1.0, -1.0, 1.0, 1.0])
+    assert in_world(estimate, form(pose)) == in_world(estimate, pose)
+    assert np.array_equal(gravity_in_camera(form(pose)), gravity_in_camera(pose))
 
 
 def test_numbers_of_a_configuration_may_be_of_any_kind_and_in_a_list():

@@ -230,7 +230,7 @@ def test_glb_is_the_tree_and_its_animation_moves_the_joints(estimate, tmp_path):
 
 
 def test_ros_transforms_chain_to_the_links(estimate):
-    messages = json.loads(json.dumps(ros_messages(estimate, stamp_ns=1_700_000_000_123_456_789)))
+    messages = json.loads(json.dumps(ros_messages(estimate, np.int64(1_700_000_000_123_456_789))))
     stamp = {"sec": 1_700_000_000, "nanosec": 123_456_789}
     frames = {"camera_optical_frame": np.eye(4)}
     for message in messages["tf"]["transforms"]:

@@ -93,8 +93,11 @@ def test_a_point_right_before_the_lens_makes_no_boundless_picture():
     assert max(max(image.get_array().shape) for panel in panels for image in panel.images) == 640 + MAX_SIDE
 
 
-def test_notebooks_display_what_show_returns():
-    assert Image.open(io.BytesIO(show(*seen())._repr_png_())).size[0] > 800
+def test_notebooks_display_what_show_returns_and_it_is_written_as_named(tmp_path):
+    shown = show(*seen(), path=tmp_path / "picture")
+    assert Image.open(io.BytesIO(shown._repr_png_())).size[0] > 800
+    assert Image.open(tmp_path / "picture").format == "PNG"
+    assert [file.name for file in tmp_path.iterdir()] == ["picture"]
 
 
 def test_colours_lie_under_what_is_drawn():

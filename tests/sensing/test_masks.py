@@ -36,6 +36,7 @@ def coloured(alpha: np.ndarray, colours: np.ndarray) -> np.ndarray:
         MASK[None],
         MASK[..., None],
         torch.tensor(MASK)[None],
+        0.9 * torch.tensor(MASK).bfloat16(),
         MASK.astype(np.uint8) * 255,
         MASK * 255.0,
         PROBABILITY,

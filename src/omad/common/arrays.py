@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from torch import Tensor
+from torch import Tensor, bfloat16
 
 from .decode import Shape
 from .errors import InputError
@@ -19,7 +19,10 @@ Identity = dict[str, str]
 
 def as_numpy(values: Any) -> np.ndarray:
     """NumPy array of anything array-like; a tensor may be on any device and have a gradient."""
-    return values.detach().cpu().numpy() if isinstance(values, Tensor) else np.asarray(values)
+    if not isinstance(values, Tensor):
+        return np.asarray(values)
+    values = values.detach().cpu()
+    return (values.float() if values.dtype is bfloat16 else values).numpy()  # NumPy has no such numbers
 
 
 def numbers(values: Any, *shape: int | None, what: str, unknown: bool = False) -> np.ndarray:

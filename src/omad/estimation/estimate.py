@@ -18,7 +18,7 @@ from omad.common.errors import InputError
 from omad.common.files import write_json
 from omad.geometry.joint_kinds import Motion
 from omad.geometry.mesh import Mesh, convex_hull
-from omad.geometry.rigid import is_rotation
+from omad.geometry.rigid import rigid_transform
 from omad.geometry.transforms import MIRROR_X
 from omad.model.fitting.posed_object import PosedObject
 from omad.model.surfaces.bank import train_command
@@ -29,7 +29,7 @@ from omad.objects.pose import ObjectPose
 from omad.objects.urdf import write_urdf
 
 from .confidence.signals import Signals
-from .joint_estimate import JointEstimate
+from .joint_estimate import JointEstimate, check_state
 from .part_labels import LabelledPoints
 
 DOUBTFUL = 0.5
@@ -50,7 +50,7 @@ def _joints(
     )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PoseEstimate(PosedObject):
     """Shape, pose and joints of one object, as one stage of the estimation has them."""
 
@@ -93,7 +93,7 @@ class PoseEstimate(PosedObject):
         return self.placed
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PartEstimate:
     """One part as seen now."""
 
@@ -111,7 +111,7 @@ class PartEstimate:
         return f"<PartEstimate: {self.name} at ({x:.3f}, {y:.3f}, {z:.3f}) m>"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Estimate(PoseEstimate):
     """Shape, pose, joints, keypoints and part labels of one observed object."""
 
@@ -142,7 +142,7 @@ class Estimate(PoseEstimate):
     """What a person should know before trusting it."""
     joints_alone: tuple[JointEstimate, ...] = ()
     """What this view says of the joints without the others, where it is one of several of one object."""
-    surfaces: Surfaces | None = field(default=None, compare=False)
+    surfaces: Surfaces | None = None
     """Where its surface comes from; without, parts are hulls of keypoints."""
     of_other_hand: bool = False
     """The object is the mirror image of what the category's spec describes, and of what ``beta`` says: its door is
@@ -347,13 +347,9 @@ class Estimate(PoseEstimate):
         if not np.isfinite(to_state):
             raise InputError(f"to_state: {to_state} is no state; give radians or metres")
         start = numbers(T_camera_handle, 4, 4, what="T_camera_handle")
-        T_world = np.eye(4) if T_world_camera is None else numbers(T_world_camera, 4, 4, what="T_world_camera")
-        if not is_rotation(T_world[:3, :3]):
-            raise InputError("T_world_camera: is no rotation and translation; correct it")
+        T_world = np.eye(4) if T_world_camera is None else rigid_transform(T_world_camera, "T_world_camera")
         joint = self.joints[names.index(part) - 1]
-        low, high = joint.limits
-        if not 2 * low - high <= to_state <= 2 * high - low:
-            raise InputError(f"to_state: {to_state:g} is far beyond {low:.2f} to {high:.2f}; give radians or metres")
+        check_state(to_state, joint.limits, "to_state")
         motions = np.stack([joint.motion(travel) for travel in np.linspace(0.0, to_state - joint.state, steps)])
         return T_world @ motions @ np.linalg.inv(T_world) @ start
 

@@ -160,9 +160,8 @@ class Estimator:
         if isinstance(observation, Observation):
             check_observations([observation])
             return self._estimate([observation], known)[0]
-        size = self.config.batch
-        check_observations(observation)
-        return [e for i in range(0, len(observation), size) for e in self._estimate(observation[i : i + size], known)]
+        size, views = self.config.batch, check_observations(observation)
+        return [e for i in range(0, len(views), size) for e in self._estimate(views[i : i + size], known)]
 
     def near(self, observation: Observation, near: Near, known: Known = NOTHING_KNOWN) -> Estimate:
         """Estimate an object that was seen before, a moment ago say: one look is enough, which takes half the time."""
@@ -181,7 +180,7 @@ class Estimator:
     def _together(self, views: Observation | Sequence[Observation], known: Known, poses: Any) -> list[Estimate]:
         if isinstance(views, Observation) or not views:
             raise InputError("T_world_camera: is for several views of one object; give a list of observations with it")
-        check_observations(views)
+        views = check_observations(views)
         T = relative_poses(poses, len(views))
         alone = [self._estimate([view], own)[0] for view, own in zip(views, known.seen_from(T), strict=True)]
         rig = Rig.of(T, alone, self.net.prior.learned_basis)

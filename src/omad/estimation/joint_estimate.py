@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Self
 
@@ -20,7 +21,15 @@ INTERVALS = (50, 90)
 """Per cent, of those that are written."""
 
 
-@dataclass(frozen=True)
+def check_state(state: float, limits: Sequence[float], what: str) -> None:
+    """Raises InputError, which begins with ``what``, for a state so far beyond the limits that it seems to be in other
+    units."""
+    low, high = limits
+    if not 2 * low - high <= state <= 2 * high - low:
+        raise InputError(f"{what}: {state:g} is far beyond {low:.2f} to {high:.2f}; give radians or metres")
+
+
+@dataclass(frozen=True, eq=False)
 class JointEstimate:
     """One joint as seen now."""
 

@@ -17,6 +17,8 @@ from omad.model.fitting.state import State
 from omad.objects.category import Category
 from omad.sensing.observation import Observation
 
+from .joint_estimate import check_state
+
 LARGEST = 1e4
 """Of what can be known: radians, metres, numbers of beta."""
 LEAST = 1e-9
@@ -29,7 +31,7 @@ SEEN_DOWN = 0.2
 """Share of gravity in the image, below which the camera looks up or down and has no roll."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Known:
     """Knowledge that holds for every observation of a call. Leave out what is not known."""
 
@@ -112,7 +114,8 @@ def information(covariance: np.ndarray) -> np.ndarray:
 
 
 def check_known(known: Any, category: Category, basis_size: int) -> None:
-    """Raises InputError for what is no ``Known``, for a wrong shape, and for what are no numbers."""
+    """Raises InputError for what is no ``Known``, for a wrong shape, for what are no numbers, and for joint states in
+    other units."""
     if not isinstance(known, Known):
         raise InputError(f"known: is {type(known).__name__}; give an omad.Known")
     shapes = {"beta": (basis_size,), "joint_states": (len(category.joints),), "gravity": (3,)}
@@ -123,6 +126,11 @@ def check_known(known: Any, category: Category, basis_size: int) -> None:
         found = numbers(value, *shape, what=f"known {name}", unknown=name == "joint_states")
         if (np.abs(found) > LARGEST).any():
             raise InputError(f"known {name}: holds numbers that are too large to mean anything")
+    if known.joint_states is not None:
+        told = zip(category.joints, as_numpy(known.joint_states), category.metric_limits, strict=True)
+        for joint, state, limits in told:
+            if np.isfinite(state):
+                check_state(state, limits, f"known joint_states: {joint.name}")
     if known.gravity is not None and not np.linalg.norm(as_numpy(known.gravity)) > LEAST:
         raise InputError("known gravity: a direction is needed, got next to nothing")
     if (hand := known.mirrored_probability) is not None:

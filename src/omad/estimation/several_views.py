@@ -24,7 +24,7 @@ from torch import Tensor
 
 from omad.common.arrays import numbers
 from omad.common.errors import InputError
-from omad.geometry.rigid import is_rotation
+from omad.geometry.rigid import is_rigid
 from omad.geometry.transforms import MIRROR_X, invert_transform, transform_points, vector_angle
 from omad.model.fitting.state import Refined, State, Targets
 from omad.model.prior import OmadPrior
@@ -113,7 +113,7 @@ def relative_poses(T_world_camera: Any, views: int) -> np.ndarray:
     another shape and for what is no rigid transform."""
     poses = numbers(T_world_camera, views, 4, 4, what="T_world_camera", unknown=True)
     for number, T in enumerate(poses, 1):
-        if not (np.isfinite(T).all() and np.allclose(T[3], [0, 0, 0, 1]) and is_rotation(T[:3, :3])):
+        if not is_rigid(T):
             raise InputError(f"T_world_camera: that of view {number} is no rotation and translation; correct it")
     return np.linalg.inv(poses[0]) @ poses
 

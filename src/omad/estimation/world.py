@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from omad.common.errors import InputError
-from omad.geometry.rigid import carry
+from omad.geometry.rigid import carry, rigid_transform
 from omad.sensing.reader import parse_numbers
 
 from .estimate import Estimate, plain
@@ -23,10 +23,12 @@ def unit_doubts(T_world_camera: np.ndarray) -> list[str]:
     return [f"the camera is {away:.0f} m from the world's origin; {cure}"] if away > FAR else []
 
 
-def in_world(estimate: Estimate, T_world_camera: np.ndarray) -> dict[str, Any]:
+def in_world(estimate: Estimate, T_world_camera: Any) -> dict[str, Any]:
     """Poses, axes, pivots and keypoints of an estimate in the world frame, as plain values for JSON. ``T_world_camera``
-    (4, 4) takes camera coordinates to world coordinates. States do not depend on a frame."""
-    T, parts = T_world_camera, zip(estimate.category.parts, estimate.T_camera_part, strict=True)
+    (4, 4), NumPy or torch, takes camera coordinates to world coordinates. States do not depend on a frame. Raises
+    InputError for what is no rotation and translation."""
+    T = rigid_transform(T_world_camera, "T_world_camera")
+    parts = zip(estimate.category.parts, estimate.T_camera_part, strict=True)
     places = [None if joint.pivot is None else carry(T, joint.pivot) for joint in estimate.joints]
     joints = zip(estimate.joints, places, strict=True)
     return plain(
@@ -40,9 +42,10 @@ def in_world(estimate: Estimate, T_world_camera: np.ndarray) -> dict[str, Any]:
     )
 
 
-def gravity_in_camera(T_world_camera: np.ndarray) -> np.ndarray:
-    """(3,) where down is in the camera frame, for a world whose z points up."""
-    return -T_world_camera[2, :3]
+def gravity_in_camera(T_world_camera: Any) -> np.ndarray:
+    """(3,) where down is in the camera frame, for a world whose z points up; ``T_world_camera`` (4, 4) is as
+    ``in_world`` takes it. Raises InputError."""
+    return -rigid_transform(T_world_camera, "T_world_camera")[2, :3]
 
 
 def known_gravity(told: str | None, T_world_camera: np.ndarray | None) -> Known:

@@ -10,7 +10,7 @@ from .rigid import carry
 from .transforms import MIRROR_X
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Mesh:
     """Triangles of one part."""
 

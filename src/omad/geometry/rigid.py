@@ -2,8 +2,12 @@
 takes coordinates in frame b to coordinates in frame a."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
+
+from omad.common.arrays import numbers
+from omad.common.errors import InputError
 
 from .transforms import MIRROR_X
 
@@ -49,6 +53,20 @@ def is_rotation(matrix: np.ndarray) -> bool:
     """Whether (3, 3) turns and does nothing else, to 1e-3: no reflection either."""
     turns = np.isfinite(matrix).all() and np.allclose(matrix @ matrix.T, np.eye(3), atol=1e-3)
     return bool(turns and np.linalg.det(matrix) > 0)
+
+
+def is_rigid(T: np.ndarray) -> bool:
+    """Whether (4, 4) is a rotation and a translation."""
+    return bool(np.isfinite(T).all() and np.allclose(T[3], [0, 0, 0, 1])) and is_rotation(T[:3, :3])
+
+
+def rigid_transform(values: Any, what: str) -> np.ndarray:
+    """(4, 4) float64 of whatever a caller has. Raises InputError, which begins with ``what``, where it is no rotation
+    and translation."""
+    T = numbers(values, 4, 4, what=what)
+    if not is_rigid(T):
+        raise InputError(f"{what}: is no rotation and translation; correct it")
+    return T
 
 
 def across(axis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

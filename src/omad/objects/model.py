@@ -50,7 +50,7 @@ def diagonal(part_boxes: np.ndarray) -> float:
     return float(np.linalg.norm(part_boxes[:, 1].max(0) - part_boxes[:, 0].min(0)))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ObjectModel:
     """An articulated object in its category's canonical space (y up, z front, rest box centred on the origin)."""
 

@@ -12,7 +12,7 @@ from omad.geometry.rigid import mirrored
 from omad.geometry.transforms import MIRROR_X
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ObjectPose:
     """An articulated object in camera space, estimated or true; or several, with an axis for them before all others."""
 

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from importlib.util import find_spec
 from pathlib import Path
-
-import numpy as np
+from typing import Any
 
 from omad.common.errors import InputError
 from omad.common.files import write_json
@@ -94,7 +93,7 @@ def save_formats(
     observation: Observation,
     folder: str | Path,
     formats: str | Sequence[str],
-    T_world_camera: np.ndarray | None = None,
+    T_world_camera: Any = None,
 ) -> None:
     """Write the formats named, or the one, into ``folder``: ``robot.urdf``, ``robot.xml`` (MJCF), ``robot.usda``,
     ``object.ply`` and parts, ``object.glb``, ``ros.json``, ``object.rrd``; in the camera frame, or in the world, z up,

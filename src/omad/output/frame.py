@@ -5,6 +5,7 @@ from typing import Any, Self
 
 import numpy as np
 
+from omad.geometry.rigid import rigid_transform
 from omad.objects import category
 
 
@@ -20,10 +21,11 @@ class Frame:
 
     @classmethod
     def of(cls, T_world_camera: Any | None) -> Self:
-        """The world, z up, where the camera's pose (4, 4) in it is known; the camera otherwise."""
+        """The world, z up, where the camera's pose (4, 4) in it is known; the camera otherwise. Raises InputError for
+        what is no pose."""
         if T_world_camera is None:
             return cls(category.CAMERA, np.eye(4))
-        return cls(category.WORLD, np.asarray(T_world_camera, dtype=np.float64), upright=True)
+        return cls(category.WORLD, rigid_transform(T_world_camera, "T_world_camera"), upright=True)
 
 
 CAMERA = Frame.of(None)

@@ -155,9 +155,10 @@ def show(observation: Observation, estimate: Estimate, path: str | Path | None =
 
 
 def save(fig: Figure, path: str | Path) -> None:
-    """Write a PNG."""
+    """Write a PNG, or what the name's extension says."""
     plain_texts(fig)
-    write_atomic(path, lambda temporary: fig.savefig(temporary, dpi=DPI))
+    kind = Path(path).suffix[1:] or "png"  # without, Matplotlib would choose another name
+    write_atomic(path, lambda temporary: fig.savefig(temporary, dpi=DPI, format=kind))
 
 
 def plain_texts(fig: Figure) -> None:

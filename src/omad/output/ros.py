@@ -15,7 +15,8 @@ def ros_messages(estimate: Estimate, stamp_ns: int = 0, frame: Frame = CAMERA) -
     """``{"joint_state": JointState, "tf": TFMessage, "probability": that it is right, or None}`` of plain Python
     values. ``stamp_ns``: nanoseconds, when the image was taken. ``frame`` is the parent of the base link; each other
     link hangs on its parent link, as in the URDF. Metres, radians; quaternions x, y, z, w."""
-    stamp = {"sec": stamp_ns // 10**9, "nanosec": stamp_ns % 10**9}
+    seconds, rest = divmod(int(stamp_ns), 10**9)
+    stamp = {"sec": seconds, "nanosec": rest}
     names = [part.name for part in estimate.category.parts]
     frames = link_frames(estimate)
     transforms = [_transform(stamp, frame.name, names[0], frame.T_frame_camera @ frames[0])]

@@ -38,7 +38,7 @@ image may have been cropped."""
 Segmentation = Literal["plane"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Observation:
     """One object as seen by one camera."""
 

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
+from numbers import Integral
 from typing import Any, Self, TypeVar
 
 import torch
@@ -66,7 +67,7 @@ def estimate_stream(
     ahead of what the caller has taken. A frame that cannot be read or estimated is told of in its place, and the
     others go on. ``workers`` threads, 0: a core each. While it runs, PyTorch has one thread for each of them."""
     for name, value, least in (("workers", workers, 0), ("batch", batch, 1)):
-        if not isinstance(value, int) or not least <= value <= MOST:
+        if not isinstance(value, Integral) or not least <= value <= MOST:
             raise InputError(f"{name} {shown(repr(value))}: give a whole number from {least} to {MOST}")
     workers, threads = workers or cores(), torch.get_num_threads()
     try:

@@ -26,7 +26,7 @@ SUREST, UNTOLD = 0.999, 0.6
 """Probability of a hand beyond which none counts for more, and that of one of which nobody learned how to tell it."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Signature:
     """Shape parameters of one object."""
 

@@ -96,13 +96,14 @@ class Shown:
         return LabelledPoints(self.observations[b].points, seen, logits, len(self.category.parts))
 
 
-def check_observations(observations: Any) -> None:
-    """Raises InputError that tells which of them is none, or holds points that are no places."""
+def check_observations(observations: Any) -> list[Observation]:
+    """All of a sequence. Raises InputError that tells which of them is none, or holds points that are no places."""
     if not isinstance(observations, Sequence):
         raise InputError(f"observation: is {type(observations).__name__}; give an omad.Observation, or a list of them")
     for index, one in enumerate(observations):
-        points = getattr(one, "points", None)
-        if not isinstance(points, np.ndarray) or points.ndim != 2 or points.shape[1] != 3 or not len(points):
+        cloud = getattr(one, "points", None)
+        if not isinstance(cloud, np.ndarray) or cloud.dtype.kind != "f" or cloud.shape[1:] != (3,) or not len(cloud):
             raise InputError(f"observation {index}: has no points (N, 3); make it with Observation.from_depth")
-        if not max(-points.min(), points.max()) <= FARTHEST:  # not for NaN either
+        if not max(-cloud.min(), cloud.max()) <= FARTHEST:  # not for NaN either
             raise InputError(f"observation {index}: has points that are not finite, or too far away; leave them out")
+    return list(observations)

@@ -16,7 +16,7 @@ from ..prior import OmadPrior
 from .state import State
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PosedObject:
     """One object of a category: shape, and place in camera space."""
 
