@@ -103,6 +103,17 @@ def test_a_frame_that_spoils_its_batch_is_told_of_alone(monkeypatch):
     assert [outcome.refused for outcome in outcomes] == [None, "ValueError: singular", None]
 
 
+def test_a_camera_may_write_each_image_over_the_last_one():
+    depth = np.empty((480, 640))
+
+    def camera():
+        for image in depths():
+            depth[:] = 0.001 * image
+            yield Frame.of_depth("", depth, NUMBERS)
+
+    assert_same(list(estimate_stream(estimator(), camera(), workers=2, batch=2)))
+
+
 def test_frames_are_taken_only_shortly_before_they_are_needed():
     """So that an endless stream, as of a camera, takes no more memory than a short one."""
     taken = count()

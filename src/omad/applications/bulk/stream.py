@@ -12,8 +12,10 @@ from functools import partial
 from numbers import Integral
 from typing import Any, Self, TypeVar
 
+import numpy as np
 import torch
 
+from omad.common.arrays import as_numpy
 from omad.common.batches import batched
 from omad.common.errors import InputError, shown
 from omad.common.files import one_line
@@ -41,8 +43,10 @@ class Frame:
 
     @classmethod
     def of_depth(cls, name: str, depth_m: Any, K: Any, mask: Any = None, **options: Any) -> Self:
-        """A depth image, as ``Observation.from_depth`` takes it."""
-        return cls(name, partial(Observation.from_depth, depth_m, K, mask, **options))
+        """A depth image, as ``Observation.from_depth`` takes it. Arrays are copied: a camera may put its next image
+        there before this one is read."""
+        given = {"depth_m": depth_m, "K": K, "mask": mask, **options}
+        return cls(name, partial(Observation.from_depth, **{key: _copied(value) for key, value in given.items()}))
 
 
 @dataclass(frozen=True)
@@ -87,6 +91,11 @@ def estimate_stream(
     finally:
         pool.shutdown(cancel_futures=True)
         torch.set_num_threads(threads)
+
+
+def _copied(value: Any) -> Any:
+    """What is no array as it is."""
+    return as_numpy(value).copy() if isinstance(value, np.ndarray | torch.Tensor) else value
 
 
 def _named(frames: Iterable[Frame | Observation]) -> Iterator[Frame]:
