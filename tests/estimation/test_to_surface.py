@@ -41,6 +41,7 @@ def test_all_of_the_way_is_where_the_surface_lies(estimate):
     assert not np.allclose(found.joints[0].state, estimate.joints[0].state, atol=1e-4)
 
 
+@pytest.mark.filterwarnings("error")
 def test_each_goes_its_own_share_of_the_way(estimate):
     found, fit = sharing(estimate, 0.25, 0.5).to_surface(), estimate.surface.placed
     assert found.joints[0].state == pytest.approx(0.5 * (estimate.joints[0].state + fit.states[0]))

@@ -7,6 +7,7 @@ from typing import Self
 import numpy as np
 from torch import Tensor
 
+from omad.common.arrays import as_numpy
 from omad.geometry.kinematics import KinematicTree, joint_lines, part_transforms
 from omad.geometry.rigid import mirrored
 from omad.geometry.transforms import MIRROR_X
@@ -31,7 +32,7 @@ class ObjectPose:
         out in the dtype of the tensors, which may be on any device; float64 comes out."""
         G = part_transforms(tree, axes, pivots, states, T_camera_base)
         lines = joint_lines(tree, axes, pivots, G)
-        return cls(*(np.array(t.cpu(), dtype=np.float64) for t in (states, lines.axes, lines.pivots, G)))
+        return cls(*(np.array(as_numpy(t), dtype=np.float64) for t in (states, lines.axes, lines.pivots, G)))
 
     @classmethod
     def stack(cls, poses: Sequence[Self]) -> Self:
