@@ -3,8 +3,9 @@
 import multiprocessing
 import os
 from collections import deque
+from contextlib import contextmanager
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 import pytest
@@ -146,6 +147,40 @@ def test_an_image_of_twelve_megapixels_is_thinned():
     np.testing.assert_allclose(found.points[1234], 1.5 * ray, rtol=1e-5)
     table = Observation.from_depth(depth, K, box=(1000, 1000, 1100, 1100))
     assert len(table.points) == 10_000
+
+
+@contextmanager
+def double_precision():
+    torch.set_default_dtype(torch.float64)
+    try:
+        yield
+    finally:
+        torch.set_default_dtype(torch.float32)
+
+
+SETTINGS = [
+    double_precision,
+    torch.inference_mode,
+    partial(torch.autocast, "cpu", torch.bfloat16),
+    partial(torch.device, "meta"),
+]
+
+
+@pytest.mark.parametrize("setting", SETTINGS)
+def test_what_a_program_has_set_of_pytorch_changes_no_answer(setting):
+    view = laptop_view().observation()
+    expected = estimator()(view)
+    with setting():
+        own = Estimator.from_pretrained("laptop", "cpu")
+        inside = own(view)
+        surface = inside.to_surface()
+        together = own([view, view], T_world_camera=[np.eye(4)] * 2)
+        moved = own.moved(inside, NEAR, np.eye(17))
+    assert np.array_equal(inside.keypoints, expected.keypoints)
+    assert np.array_equal(own(view).keypoints, expected.keypoints)
+    assert np.array_equal(surface.keypoints, expected.to_surface().keypoints)
+    assert np.array_equal(moved.keypoints, own.moved(expected, NEAR, np.eye(17)).keypoints)
+    assert np.isfinite(together[1].keypoints).all()
 
 
 def _answer(pipe) -> None:

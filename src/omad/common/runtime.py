@@ -3,7 +3,8 @@
 import ctypes
 import os
 import time
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from functools import cache
 
 import torch
@@ -51,6 +52,20 @@ def work_in_forks() -> None:
     who waits for them waits for ever."""
     if hasattr(os, "register_at_fork"):
         os.register_at_fork(after_in_child=lambda: torch.set_num_threads(1))
+
+
+@contextmanager
+def undisturbed() -> Iterator[None]:
+    """PyTorch works as it does by default, whatever the caller's program has set: on the CPU where no device is named,
+    without autocast and gradients, and outside of inference mode, whose tensors could not be written to later."""
+    with ExitStack() as within:
+        within.enter_context(torch.inference_mode(False))
+        within.enter_context(torch.no_grad())
+        for kind in filter(torch.is_autocast_enabled, ("cpu", "cuda")):
+            within.enter_context(torch.autocast(kind, enabled=False))
+        if torch.get_default_device().type != "cpu":
+            within.enter_context(torch.device("cpu"))
+        yield
 
 
 class Stopwatch:

@@ -24,7 +24,7 @@ from torch import Tensor
 
 from omad.common.arrays import as_doubles, as_numpy
 from omad.common.errors import InputError
-from omad.common.runtime import Stopwatch, pick_device, work_in_forks
+from omad.common.runtime import Stopwatch, pick_device, undisturbed, work_in_forks
 from omad.geometry.transforms import transform_points
 from omad.model.checkpoint import find_weights, load
 from omad.model.fitting.energy import RefinementConfig
@@ -119,6 +119,7 @@ class Estimator:
         self._kept: dict[int, Refiner] = {}
 
     @classmethod
+    @undisturbed()
     def from_pretrained(
         cls,
         weights: str | Path,
@@ -210,7 +211,7 @@ class Estimator:
         images = self._of_one_hand(seen, known.mirrored(), *elsewhere)
         return self._of_one_hand(observations, known, near, rig), images
 
-    @torch.no_grad()
+    @undisturbed()
     def _of_one_hand(
         self, observations: Sequence[Observation], known: Known, near: Near | None, rig: Rig | None
     ) -> list[Estimate]:

@@ -161,7 +161,7 @@ class Near:
         """In category units, a batch of one; dtype and device are those of ``like``."""
         pose = rigid(self.T_camera_base[:3, :3], self.T_camera_base[:3, 3] / category.metres_per_unit)
         values = (self.beta, np.asarray(self.joint_states, dtype=np.float64) / category.state_units, pose)
-        return State(*(torch.as_tensor(value).to(like)[None] for value in values))
+        return State(*(torch.as_tensor(value, dtype=like.dtype, device=like.device)[None] for value in values))
 
 
 def _upright(pose: Tensor, gravity: Tensor) -> Tensor:

@@ -24,6 +24,7 @@ from torch import Tensor
 
 from omad.common.arrays import numbers
 from omad.common.errors import InputError
+from omad.common.runtime import undisturbed
 from omad.geometry.rigid import is_rigid
 from omad.geometry.transforms import MIRROR_X, invert_transform, transform_points, vector_angle
 from omad.model.fitting.state import Refined, State, Targets
@@ -61,6 +62,7 @@ class Rig:
     """(V, V) bool: which views tell the same joint states."""
 
     @classmethod
+    @undisturbed()
     def of(cls, T_first_camera: np.ndarray, alone: Sequence[Estimate], like: Tensor) -> Rig:
         """Of cameras at ``T_first_camera`` (V, 4, 4), in metres, and what each view tells ``alone``; dtype and device
         are those of ``like``."""
@@ -123,6 +125,7 @@ def correlation(angle: Tensor) -> Tensor:
     return SHARED + (1 - SHARED) * (-angle.rad2deg() / APART).exp()
 
 
+@undisturbed()
 def one_answer(estimates: Sequence[Estimate], alone: Sequence[Estimate]) -> list[Estimate]:
     """The estimates of all views, each with the warnings of all, and a further one where a view contradicts them, by
     where it sees the object or by the joint states that it tells ``alone``. How sure the answer is, the views that

@@ -91,7 +91,7 @@ def load(network: type[N], folder: Path) -> N:
         net.load_state_dict(unpacked(tensors))
     if not all((tensor.abs() <= LARGEST).all() for tensor in net.state_dict().values()):  # not for NaN either
         raise InputError(f"{path}: holds numbers that are not finite, or far too large; copy or train it anew")
-    return net.eval().requires_grad_(False)
+    return net.float().eval().requires_grad_(False)
 
 
 def load_part(module: M, prefix: str, folder: Path) -> M:
@@ -100,7 +100,7 @@ def load_part(module: M, prefix: str, folder: Path) -> M:
     with _opened(folder) as file:
         names = [name for name in file.keys() if name.startswith(prefix)]  # noqa: SIM118 (it is no dict)
         module.load_state_dict(unpacked({name.removeprefix(prefix): file.get_tensor(name) for name in names}))
-    return module.eval().requires_grad_(False)
+    return module.float().eval().requires_grad_(False)
 
 
 @contextmanager

@@ -14,6 +14,7 @@ from torch import Tensor, nn
 from torch.nn.functional import adaptive_avg_pool2d
 
 from omad.common.decode import decode
+from omad.common.runtime import undisturbed
 
 from ..checkpoint import Network, load
 from .image import CHANNELS
@@ -55,7 +56,7 @@ class HandNet(Network):
     def _side(self, images: Tensor) -> Tensor:
         return self.head(adaptive_avg_pool2d(self.places(images), PLACES).flatten(1))
 
-    @torch.no_grad()
+    @undisturbed()
     def says(self, image: np.ndarray, name: str) -> float:
         """Log-odds for one image (5, ROWS, COLUMNS) of a category; 0 for one that it does not know."""
         if name not in self.names:

@@ -15,6 +15,7 @@ from torch import Tensor, nn
 from torch.nn.functional import adaptive_avg_pool1d
 
 from omad.common.decode import decode
+from omad.common.runtime import undisturbed
 
 from ..checkpoint import Network, load
 from .image import CHANNELS
@@ -56,7 +57,7 @@ class FrontNet(Network):
         each = adaptive_avg_pool1d(rows, HEIGHTS).flatten(1)
         return self.head(torch.cat([rows.mean(2), rows.amax(2), each], 1))
 
-    @torch.no_grad()
+    @undisturbed()
     def says(self, images: np.ndarray) -> np.ndarray:
         """Logarithm of the probability of each category (B, C), by images (B, 5, ROWS, COLUMNS)."""
         return self(torch.from_numpy(images).to(next(self.parameters()))).log_softmax(1).double().cpu().numpy()

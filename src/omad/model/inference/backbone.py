@@ -73,7 +73,8 @@ class BackboneWork:
         self.fused, self.coarse = Buffer(clouds, n2, second), Buffer(clouds, n2, dense)
         self.dense = Buffer(clouds, n1, dense)
         self.room = torch.empty(
-            3 * max(b.tensor.numel() for b in (self.first.features, self.fused, self.dense, self.pooled))
+            3 * max(b.tensor.numel() for b in (self.first.features, self.fused, self.dense, self.pooled)),
+            dtype=torch.float32,
         )
 
 

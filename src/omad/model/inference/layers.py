@@ -16,7 +16,7 @@ class Buffer:
     """The same memory as a tensor, for matrix products, and as an array, for compiled loops."""
 
     def __init__(self, *shape: int) -> None:
-        self.tensor = torch.empty(shape)
+        self.tensor = torch.empty(shape, dtype=torch.float32)
         self.array = self.tensor.numpy()
         self.rows = self.tensor.flatten(0, -2)
         self.row_array = self.rows.numpy()
@@ -35,7 +35,7 @@ class Layer:
     def of(cls, layer: nn.Module) -> Layer:
         """Of an ``nn.Linear``."""
         assert isinstance(layer, nn.Linear)
-        bias = torch.zeros(layer.out_features) if layer.bias is None else layer.bias.detach()
+        bias = layer.weight.new_zeros(layer.out_features) if layer.bias is None else layer.bias.detach()
         return cls(layer.weight.detach().T.contiguous(), bias.numpy())
 
     @property

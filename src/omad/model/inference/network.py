@@ -57,10 +57,10 @@ class InferenceNet:
     def __call__(self, points: Tensor, labels: bool = True) -> Prediction:
         """points (B, N, 3) float32, as ``OmadNet`` takes them; without ``labels`` the ``part_logits`` are of none."""
         clouds, (batch, count) = points.contiguous().numpy(), points.shape[:2]
-        pooled = torch.empty(batch, self.backbone.config.pooled)
-        keypoints = torch.empty(batch, self.net.category.num_keypoints, 3)
-        log_sigma = torch.empty(keypoints.shape[:2])
-        logits = torch.empty(batch, count if labels else 0, len(self.part_out.bias))
+        pooled = points.new_empty(batch, self.backbone.config.pooled)
+        keypoints = points.new_empty(batch, self.net.category.num_keypoints, 3)
+        log_sigma = points.new_empty(keypoints.shape[:2])
+        logits = points.new_empty(batch, count if labels else 0, len(self.part_out.bias))
         for first in range(0, batch, TOGETHER):
             some = slice(first, min(first + TOGETHER, batch))
             work = self._work(some.stop - first)

@@ -16,6 +16,7 @@ import torch
 from torch import Tensor, nn
 
 from omad.common.decode import decode
+from omad.common.runtime import undisturbed
 from omad.sensing.observation import Observation
 from omad.sensing.point_choice import choose_points
 
@@ -93,7 +94,7 @@ class Proposer:
         """The shipped one, or that of a checkpoint folder. Raises InputError."""
         return cls(load(ProposalNet, folder).to(device))
 
-    @torch.no_grad()
+    @undisturbed()
     def __call__(self, observations: Sequence[Observation], seed: int = 0) -> list[dict[str | None, float]]:
         """Of each observation, the probability of every category and of none (None), likeliest first."""
         if not observations:

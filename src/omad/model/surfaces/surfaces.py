@@ -14,6 +14,7 @@ import torch
 
 from omad.common.arrays import as_numpy
 from omad.common.errors import InputError
+from omad.common.runtime import undisturbed
 from omad.geometry.mesh import Mesh
 from omad.objects.category import Category
 from omad.objects.pose import ObjectPose
@@ -127,6 +128,7 @@ class Surfaces:
         mine.load_state_dict(self._prior.state_dict())
         return mine.requires_grad_(False)
 
+    @undisturbed()
     def of_keypoints(self, canonical_keypoints: np.ndarray) -> tuple[Mesh, ...]:
         """Each part's surface (canonical space at rest, metres) for keypoints (M, 3), metres: that of the object with
         the nearest ones, carried along."""
@@ -135,6 +137,7 @@ class Surfaces:
         template = self.bank.template(self.bank.nearest(keypoints, 1)[0][0])
         return _in_metres(template.at(keypoints), unit)
 
+    @undisturbed()
     def of_beta(self, beta: Any, of_other_hand: Any = False) -> list[tuple[Mesh, ...]]:
         """The same for shape parameters (B, D), NumPy or torch, or for one object's (D,), which count as a batch of
         one. ``of_other_hand``: one bool, or (B,), as estimates have it: the mirror image of what ``beta`` says. Raises
@@ -155,6 +158,7 @@ class Surfaces:
             for parts, other in zip(found, mirrored, strict=True)
         ]
 
+    @undisturbed()
     def fitted(
         self, found: PosedObject, covariance: np.ndarray, points: np.ndarray, labels: np.ndarray
     ) -> FittedSurface:
@@ -184,6 +188,7 @@ class Surfaces:
         parts = tuple(part.carried(T) for part, T in zip(_in_metres(parts, unit), moved, strict=True))
         return FittedSurface(parts, found.placed, where, placed.moved)
 
+    @undisturbed()
     def towards(self, found: PosedObject, fitted: FittedSurface, share: np.ndarray) -> PosedObject:
         """What was found, so far on its way to what was fitted to it: ``share`` (P,) of the step."""
         step = torch.as_tensor(share * fitted.step)[None]
