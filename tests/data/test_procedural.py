@@ -317,3 +317,20 @@ def test_some_scissors_are_bars_and_rings(objects):
     """Those have two solids a half, beside the pin."""
     counts = np.array([len(solids(model.parts[1])) for model in objects["scissors"]])
     assert 0.05 < (counts == 2).mean() < 0.25
+
+
+def test_some_boxes_are_shallow_inside(objects):
+    """With a tray or padding: of what lies below their rims, less than half is open."""
+
+    def depth_share(model: ObjectModel) -> float:
+        body = trimesh.Trimesh(model.parts[0].vertices, model.parts[0].faces, process=False)
+        low, high = body.bounds
+        x, z = np.meshgrid(np.linspace(0.29, 0.69, 5), np.linspace(0.28, 0.68, 5))  # dividers are elsewhere
+        start = low + np.stack([x.ravel(), np.full(25, 1.1), z.ravel()], 1) * (high - low)
+        ray = trimesh.ray.ray_triangle.RayMeshIntersector(body)
+        hits, _, _ = ray.intersects_location(start, np.tile([0.0, -1.0, 0.0], (25, 1)), multiple_hits=False)
+        return float((high[1] - np.median(hits[:, 1])) / (high - low)[1])
+
+    shares = np.array([depth_share(model) for model in objects["lidded_box"]])
+    assert 0.08 < (shares < 0.5).mean() < 0.3
+    assert np.median(shares) > 0.8
