@@ -8,14 +8,14 @@ from pathlib import Path
 import pytest
 
 from helpers.command_line import answer
-from helpers.own_models import microwave, write_microwaves
+from helpers.own_models import SPECS, microwave, write_microwaves
 from omad import get_category
 from omad.common.errors import InputError
 from omad.data.urdf_import.articulation import read_articulation
 from omad.data.urdf_import.importing import import_folder
 from omad.objects.urdf import write_urdf
 
-SPEC = Path(__file__).parents[2] / "docs" / "categories" / "microwave.toml"
+SPEC = SPECS / "microwave.toml"
 MICROWAVE = get_category(SPEC)
 BOX = '<visual><geometry><box size="1 1 1"/></geometry></visual>'
 

@@ -11,6 +11,8 @@ from omad.geometry.mesh import Mesh, merge_meshes
 from omad.objects.model import ObjectModel
 from omad.objects.urdf import write_urdf
 
+SPECS = Path(__file__).parents[2] / "docs" / "categories"
+"""Folder of their categories' specs."""
 Z_UP = np.array([[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 """Canonical space to the frame of these files: front along -x, up along z."""
 

@@ -44,7 +44,7 @@ def check_joints(names: Sequence[str], motions: Sequence[Motion]) -> None:
 PARTS = ("Gf", "Sdf", "Tf", "Usd", "UsdGeom", "UsdPhysics", "Vt")
 """Modules of OpenUSD that are used."""
 JOINTS = "joints"
-"""The scope that they are in."""
+"""The scope of an object's joints."""
 
 
 def _stage(pxr: Any, robot: Robot) -> Any:
@@ -59,8 +59,9 @@ def _stage(pxr: Any, robot: Robot) -> Any:
     stage.SetDefaultPrim(root)
     pxr.UsdPhysics.ArticulationRootAPI.Apply(root)
     joints = pxr.UsdGeom.Scope.Define(stage, root.GetPath().AppendChild(JOINTS)).GetPath()
-    paths = [root.GetPath().AppendChild(name) for name in _names(pxr, model.part_names, (JOINTS,))]
-    links = [_link(pxr, stage, robot, part, path) for part, path in enumerate(paths)]
+    links = [root.GetPath().AppendChild(name) for name in _names(pxr, model.part_names, (JOINTS,))]
+    for part, path in enumerate(links):
+        _link(pxr, stage, robot, part, path)
     fast = f"{robot.root.name}_to_{links[0].name}"
     fixed = pxr.UsdPhysics.FixedJoint.Define(stage, joints.AppendChild(fast))
     _put(pxr, fixed, 0, robot.T_root_link[0])
@@ -72,8 +73,7 @@ def _stage(pxr: Any, robot: Robot) -> Any:
     return stage
 
 
-def _link(pxr: Any, stage: Any, robot: Robot, part: int, path: Any) -> Any:
-    """``path``, where the part's link now is."""
+def _link(pxr: Any, stage: Any, robot: Robot, part: int, path: Any) -> None:
     model, place, T = robot.model, robot.places[part], robot.T_root_link[part]
     link = pxr.UsdGeom.Xform.Define(stage, path)
     link.AddTransformOp().Set(pxr.Gf.Matrix4d(T.T.tolist()))  # of row vectors
@@ -87,7 +87,6 @@ def _link(pxr: Any, stage: Any, robot: Robot, part: int, path: Any) -> Any:
         pxr.UsdPhysics.CollisionAPI.Apply(mesh.GetPrim())
         hull = pxr.UsdPhysics.MeshCollisionAPI.Apply(mesh.GetPrim())
         hull.CreateApproximationAttr(pxr.UsdPhysics.Tokens.convexHull)
-    return path
 
 
 def _weigh(pxr: Any, prim: Any, solid: Solid) -> None:

@@ -21,14 +21,13 @@ def generate(rng: np.random.Generator, category: Category, unusual: np.random.Ge
     outline = Outline(width, depth, rng.choice([0.0, rng.uniform(0.0, 0.4)]))
     flare = rng.uniform(0.85, 1.0) if rng.random() < 0.25 else 1.0
     floor = max(wall * rng.uniform(0.8, 2.0), 0.002)
-    if rng.random() < 0.4:  # a tray, padding, or what it is full of: no deeper than a lid's lip reaches
+    if rng.random() < 0.4:  # a tray, padding, or what it is full of, below where a lid's lip comes
         floor = max(floor, min(rim * rng.uniform(0.1, 0.8), rim - 0.4 * tall - 0.004))
     body = [outline.shell(0.0, rim, wall, floor, flare)]
     inner = Rect(-width * flare / 2 + wall, width * flare / 2 - wall, -depth * flare / 2, depth * flare / 2)
     if rng.random() < 0.3:
-        body += _dividers(
-            rng, inner.grown(0.0, -wall), floor, floor + (rim - floor) * rng.uniform(0.4, 0.95), 0.6 * wall
-        )
+        high = floor + (rim - floor) * rng.uniform(0.4, 0.95)
+        body += _dividers(rng, inner.grown(0.0, -wall), floor, high, 0.6 * wall)
     body += feet(rng, flare * width / 2, flare * depth, 0.06 * rim, flare * depth / 2)
 
     top = _barrel(rng, width, depth, rim, tall) if rng.random() < 0.12 else lid(rng, outline, rim, wall, tall)

@@ -1,0 +1,55 @@
+"""Meshes that lie elsewhere than their URDF, and in units of their own."""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+import omad
+from helpers.own_models import SPECS, microwave
+from omad.data.urdf_import.folder import import_model, load_folder
+from omad.data.urdf_import.importing import import_folder
+from omad.objects.urdf import write_urdf
+
+MICROWAVE = omad.get_category(SPECS / "microwave.toml")
+
+
+@pytest.fixture(autouse=True)
+def elsewhere(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+def test_meshes_elsewhere_in_a_package_or_folder_are_watched_and_links_keep_their_names():
+    """Robots' packages have their meshes beside the folder of URDFs."""
+    for index, place in enumerate(("package", "kept")):
+        write_urdf(microwave(width=0.5 + 0.05 * index), f"{place}/urdf/oven/oven.urdf")
+        shutil.move(f"{place}/urdf/oven/meshes", f"{place}/meshes")
+    Path("package/package.xml").write_text("<package/>")
+    Path("models").mkdir()
+    for index, place in enumerate(("package", "kept")):
+        Path(f"models/{index}").symlink_to(f"../{place}/urdf/oven")
+
+    def widths() -> list[float]:
+        found = import_folder(Path("models"), MICROWAVE, Path("ours"), mesh_folder=Path("kept"))
+        assert found.used == ["0", "1"]
+        assert [model.name for model in load_folder("ours", MICROWAVE).models] == found.used
+        return [round(float(np.ptp(model.part_boxes()[0, :, 0])), 6) for model in found.models]
+
+    assert widths() == [0.5, 0.55]
+    for index, place in enumerate(("package", "kept")):
+        write_urdf(microwave("oven", width=0.6 + 0.05 * index), f"new{index}/oven.urdf")
+        shutil.copytree(f"new{index}/meshes", f"{place}/meshes", dirs_exist_ok=True)
+    assert widths() == [0.6, 0.65]
+
+
+def test_a_mesh_that_tells_its_unit_is_taken_in_it():
+    made = microwave()
+    file = write_urdf(made, Path("oven.urdf"))
+    for mesh in Path("meshes").glob("*.obj"):
+        solid = trimesh.load(mesh, process=False)
+        collada = solid.apply_scale(1000.0).export(file_type="dae").decode()
+        mesh.with_suffix(".dae").write_text(collada.replace("<up_axis>", '<unit name="mm" meter="0.001"/><up_axis>'))
+    file.write_text(file.read_text().replace(".obj", ".dae"))
+    np.testing.assert_allclose(import_model(file, MICROWAVE).part_boxes(), made.part_boxes(), atol=1e-9)
