@@ -190,6 +190,12 @@ def test_accuracy_is_measured_on_what_was_rendered(in_a_folder_of_its_own, witho
     errors = [told["refined"]["joint_state_error"] for told in (sharded, shards)]
     for found, other in zip(*errors, strict=True):
         assert found == pytest.approx(other, abs=1e-6)
+    answer(capsys, "render", *objects, "--seed", "1", "--output", "others", "--workers", "1")
+    Path("views").rename("before")
+    Path("others").rename("views")  # other views where the measured ones were
+    assert "other inputs or settings" in refused(capsys, "eval", "pose", *LAPTOP, "--source", "views", *cluster)
+    Path("views").rename("others")
+    Path("before").rename("views")
     line = refused(capsys, "eval", "pose", *LAPTOP, "--source", "errors")
     assert "holds no views with their truth" in line
     line = refused(capsys, "eval", "pose", "--category", "scissors", "--source", "views")

@@ -27,7 +27,8 @@ CATEGORY = omad.get_category("laptop")
 
 def rendered(place: Path | str, clutter: bool = False, total: int = TOTAL, size: int = 3) -> None:
     work = RenderWork("laptop", "procedural", 2, "test", 0, "off", clutter)
-    made_of = {**asdict(work), **run_record(CATEGORY)}
+    models = load_models("procedural", CATEGORY, 2, "test", 0).models
+    made_of = {**asdict(work), **run_record(CATEGORY, models)}
     run_shards(Plan(Store.of(place), work, total, size), made_of, lambda plan, numbers: map(plan, numbers))
 
 
@@ -66,6 +67,16 @@ def test_they_say_of_which_hand_the_object_was_and_older_ones_of_none(tmp_path):
     for rows, told in ((table, True), (table.drop_columns(["of_other_hand"]), False)):
         pyarrow.parquet.write_table(rows, tmp_path / part_name(0))
         assert [each.truth.of_other_hand for each in loaded(tmp_path).views] == [told]
+
+
+def test_a_run_does_not_go_on_with_other_objects_of_the_same_names_or_another_spec():
+    first, second = load_models("procedural", CATEGORY, 2, "test", 0).models
+    told = run_record(CATEGORY, [first, second])
+    assert told == run_record(CATEGORY, [first, second])
+    wider = second.stretched(np.array([1.1, 1.0, 1.0]))
+    around = replace(CATEGORY, views=replace(CATEGORY.views, azimuth=3.0))
+    for other in (run_record(CATEGORY, [first, wider]), run_record(CATEGORY, [first]), run_record(around, [first])):
+        assert other != told
 
 
 def test_any_may_be_the_first_whatever_shard_it_is_in(tmp_path):

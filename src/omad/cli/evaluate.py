@@ -108,7 +108,7 @@ class EvalPose(CategoryCommand):
         drawn = (everywhere(data.source), data.objects, data.views, data.seed, data.depth_noise, data.broken)
         weights = everywhere(self.weights) or self.category
         work = PoseWork(weights, self.device, self.fast, self.to_surface, *drawn)
-        made_of = {**asdict(work), "weights": weights_identity(find_weights(weights)), "version": omad.__version__}
+        made_of = {**asdict(work), "weights": weights_identity(find_weights(weights)), **data.identity(source)}
         done = self.scale.run(work, source.total, self.output, made_of, workers, self.device)
         answer = summary([*from_rows(done.plan.rows())], category, data.source)
         answer |= {"depth_noise": source.noisy, "refused": source.refused, "run": done.to_dict()}
@@ -359,7 +359,8 @@ class EvalRetrieval:
         """From the cache as far as they are there; the rest is made, and put there."""
         data, category, siamese = self.data, estimator.category, folder / "siamese"
         cache = None if self.cache is None else self.cache / category.name
-        total, identity = data.load(category).total, data.identity(category)
+        source = data.load(category)
+        total, identity = source.total, data.identity(source)
         made_of = identity | {"weights": weights_identity(folder), "settings": repr(estimator.config)}
 
         def described(name: str, made_of: dict[str, str], make: Any) -> dict[str, ndarray]:

@@ -1,6 +1,9 @@
 """The commands that make object models and views of them: ``omad generate``, ``omad import``, ``omad render``."""
 
+from __future__ import annotations
+
 import sys
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -23,6 +26,8 @@ with lazy_imports():
     from omad.data.shards.views import run_record
     from omad.data.source import load_models
     from omad.data.urdf_import.importing import import_folder
+    from omad.objects.category import Category
+    from omad.objects.model import ObjectModel
     from omad.objects.urdf import write_urdf
     from omad.output.contact_sheet import contact_sheet
     from omad.output.picture import save
@@ -136,7 +141,7 @@ class Render:
         category = omad.get_category(self.category)
         source = load_models(self.source, category, self.objects, self.split, self.seed)
         if self.scale.cluster:
-            return self._in_shards(workers)
+            return self._in_shards(category, source.models, workers)
         noise, drawn = noises.LEVELS[self.depth_noise], (source.models, category, self.output, self.views)
         if self.layout == "artimage":
             write_artimage(*drawn, self.split, self.seed, noise, workers, progress=True)
@@ -144,7 +149,7 @@ class Render:
             render_to_folder(*drawn, self.seed, noise, workers, progress=True, clutter=self.clutter)
         return Answer({"folder": str(self.output), "views": self.views, "refused": source.refused})
 
-    def _in_shards(self, workers: int) -> Answer:
+    def _in_shards(self, category: Category, models: Sequence[ObjectModel], workers: int) -> Answer:
         if self.layout != "omad":
             raise InputError(f"--layout {self.layout}: is of folders; leave it out, or --cluster")
         drawn = (
@@ -157,6 +162,5 @@ class Render:
             self.clutter,
         )
         work = RenderWork(*drawn)
-        told = {"spec": work.category, **run_record(omad.get_category(self.category))}
-        made_of = {**asdict(work), **told, "version": omad.__version__}
+        made_of = {**asdict(work), **run_record(category, models), "version": omad.__version__}
         return Answer(self.scale.run(work, self.views, self.output, made_of, workers, "cpu").to_dict())

@@ -171,10 +171,10 @@ class Views:
         """So many views, evenly over all that the source has."""
         return self.load(category).spread(self.views)
 
-    def identity(self, category: Category) -> dict[str, str]:
-        """Tells these views from others."""
+    def identity(self, found: ViewSource) -> dict[str, str]:
+        """Tells these views from others; the first of those that were ``found`` are taken out."""
         settings = {"objects": self.objects, "views": self.views, "seed": self.seed, "noise": self.depth_noise}
-        first = list(islice(self.load(category).views, 3))
+        first = list(islice(found.views, 3))
         return {"data": data_identity(first, self.source, settings), "version": omad.__version__}
 
 

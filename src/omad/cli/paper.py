@@ -198,7 +198,7 @@ def _predictions(
     data: Views, cache: Path | None, category: Category, methods: dict[str, Predictor]
 ) -> tuple[Truths, dict[str, Predictions]]:
     """What the methods say of the views, from the cache as far as it is there. Raises InputError."""
-    return kept_or_made(cache, data.identity(category), methods, category, lambda: data.load(category))
+    return kept_or_made(cache, data.identity(data.load(category)), methods, category, lambda: data.load(category))
 
 
 def table1_text(answer: dict[str, Any]) -> str:
