@@ -76,6 +76,13 @@ WRONG = {
         "    return JointedParts((box((0, 0, 0), np.random.uniform(0.1, 0.2, 3)),) * 2, [[0, 0, 0]])\n",
         "another object for the same rng",
     ),
+    "limits of its own randomness": (
+        "import numpy as np\nfrom omad.data.procedural.vocabulary import JointedParts, box\n\n\n"
+        "def generate(rng, category, unusual):\n"
+        "    limits = [[0, np.random.uniform(0.5, 1.5)]]\n"
+        "    return JointedParts((box((0, 0, 0), (0.2, 0.2, 0.2)),) * 2, [[0, 0, 0]], limits=limits)\n",
+        "another object for the same rng",
+    ),
     "pivots of another shape": (
         "from omad.data.procedural.vocabulary import JointedParts, box\n\n\ndef generate(rng, category, unusual):\n"
         "    return JointedParts((box((0, 0, 0), (1, 1, 1)),) * 2, rng.normal(size=3))\n",

@@ -98,10 +98,11 @@ def _made(
 
 
 def _same(one: JointedParts, other: JointedParts) -> bool:
-    meshes = zip(one.parts, other.parts, strict=True)
-    return np.array_equal(one.pivots, other.pivots) and all(
-        np.array_equal(mesh.vertices, again.vertices) for mesh, again in meshes
-    )
+    def numbers(made: JointedParts) -> list[Any]:
+        meshes = [array for part in made.parts for array in (part.vertices, part.faces)]
+        return [made.pivots, made.axes, made.limits, *meshes]
+
+    return all(map(np.array_equal, numbers(one), numbers(other)))
 
 
 def _fitting(path: Path, made: object, category: Category) -> JointedParts:
