@@ -23,6 +23,7 @@ K = ["--intrinsics", "600,600,319.5,239.5"]
 GIVEN = ["--category", "laptop", "--json"]
 START = 1_700_000_000_000_000_000
 DEPTH_INFO = "/camera/depth/camera_info"
+PINHOLE = [600, 0, 319.5, 0, 600, 239.5, 0, 0, 1], [0] * 5, [0] * 12
 
 
 @pytest.fixture(scope="module")
@@ -100,9 +101,11 @@ def test_the_page_has_a_slider_for_time(folder, capsys, tmp_path):
         browser.close()
 
 
-def write_bag(path: Path, sequence: list[SequenceFrame], kind: str, late: int = 0, info: str = DEPTH_INFO) -> Path:
-    """Depth, its camera and a mask, as a ROS driver records them: the latter so many nanoseconds ``late``. Half way the
-    driver is started anew."""
+def write_bag(
+    path: Path, sequence: list[SequenceFrame], kind: str, late: int = 0, info: str = DEPTH_INFO, camera=PINHOLE
+) -> Path:
+    """Depth, its camera (K, D, P) and a mask, as a ROS driver records them: the latter so many nanoseconds ``late``.
+    Half way the driver is started anew."""
     pytest.importorskip("rosbags", reason="recordings are an extra: pip install 'omad[bags]'")
     from rosbags.rosbag1 import Writer as Writer1
     from rosbags.rosbag2 import StoragePlugin
@@ -136,8 +139,8 @@ def write_bag(path: Path, sequence: list[SequenceFrame], kind: str, late: int = 
             stamp = START + index * 100_000_000
             header = Header(**sequence_number, stamp=Time(stamp // 10**9, stamp % 10**9), frame_id="camera")
             roi = types["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False)
-            K = np.array([600.0, 0, 319.5, 0, 600, 239.5, 0, 0, 1])
-            values = header, 480, 640, "plumb_bob", np.zeros(5), K, np.eye(3).ravel(), np.zeros(12), 0, 0, roi
+            K, D, P = (np.array(values, float) for values in camera)
+            values = header, 480, 640, "plumb_bob", D, K, np.eye(3).ravel(), P, 0, 0, roi
             send(info, types["sensor_msgs/msg/CameraInfo"](*values), stamp + late)
             send("/mask", image((frame.depth > 0).astype(np.uint8) * 255, "mono8", header), stamp + late)
             stored = np.rint(frame.depth * 1000).astype(np.uint16)
@@ -191,6 +194,29 @@ def test_a_camera_of_another_namespace_is_not_the_images(sequence, capsys):
     assert next(read_bag(bag, Topics(info_topic="/camera/color/camera_info"))).camera is not None
     assert run(["track", str(bag), *GIVEN]) == 2
     assert "--info-topic" in capsys.readouterr().err
+
+
+def test_rectified_images_have_the_camera_of_P_and_no_lens(sequence):
+    P = [600, 0, 319.5, 0, 0, 600, 239.5, 0, 0, 0, 1, 0]
+    raw = [640, 0, 300, 0, 640, 200, 0, 0, 1], [-0.28, 0.09, 0, 0, 0], P
+    told = next(read_bag(write_bag(Path("rectified"), sequence[:1], "mcap", camera=raw), Topics())).camera
+    assert told is not None
+    assert (told.K.ravel().tolist(), told.distortion) == (PINHOLE[0], None)
+
+
+def test_intrinsics_take_the_place_of_a_camera_that_nobody_calibrated(sequence, capsys):
+    bag = str(write_bag(Path("recording"), sequence[:1], "mcap", camera=([0] * 9, [], [0] * 12)))
+    assert run(["track", bag, *GIVEN]) == 2
+    assert "camera_info: " in (told := capsys.readouterr().err)
+    assert "--intrinsics" in told
+    assert tracked(capsys, bag, *K)[1][0]["status"] == "tracking"
+
+
+@pytest.mark.parametrize("option", [("--mask", "."), ("--mask-id", "3")])
+def test_masks_that_no_frame_of_a_recording_has_are_refused(option, sequence, capsys):
+    bag = str(write_bag(Path("recording"), sequence[:1], "mcap"))
+    assert run(["track", bag, *GIVEN, *option]) == 2
+    assert option[0] in capsys.readouterr().err
 
 
 def test_recordings_that_do_not_fit_are_refused(sequence, capsys):

@@ -20,7 +20,7 @@ from omad.applications.tracking.frames import read_times
 from omad.applications.tracking.motion import MotionConfig, MotionFilter, Placement
 from omad.applications.tracking.sequence import TrackedSequence
 from omad.applications.tracking.shape_belief import ShapeBelief, ShapeConfig
-from omad.applications.tracking.tracker import TrackedEstimate
+from omad.applications.tracking.tracker import TrackedEstimate, TrackerConfig
 from omad.cli.main import run
 from omad.cli.track import track_text
 from omad.common.errors import InputError
@@ -191,6 +191,22 @@ def test_a_shape_that_is_known_stays(stapler):
     assert tracked[-1] is not None
 
 
+def test_joints_stop_at_their_limits():
+    start = Placement(np.eye(4), np.array([0.2, 1.7, 0.5]))
+    filter = MotionFilter(MotionConfig(), (True,) * 3, start, 1e-3 * np.eye(9), [(0, 1.5)] * 3)
+    filter.velocity[6:] = (-2, 2, 0.1)
+    filter.predict(0.5)
+    np.testing.assert_allclose(filter.placement.joint_states, (0, 1.7, 0.5 + 0.1 * (1 - np.exp(-0.5))))
+    assert filter.velocity[6:].tolist() == [0, 0, pytest.approx(0.1 * np.exp(-0.5))]
+
+
+def test_an_unseen_object_is_less_and_less_surely_where_it_was(stapler):
+    tracker = omad.Tracker(omad.Estimator.from_pretrained("stapler", "cpu"), TrackerConfig(sure=0.0))
+    told = [tracker(seen, time).estimate.probability for seen, time in ((stapler[0], 0), (None, 0.03), (None, 0.5))]
+    assert told[0] >= told[1] > 0.8 * told[0]
+    assert told[2] < 0.5 * told[0]
+
+
 def test_a_line_says_of_which_hand_the_shape_is(stapler):
     estimate = replace(stapler[1], hand_probability=0.75)
     for one in (estimate, estimate.in_mirror()):
@@ -237,6 +253,14 @@ def test_the_page_has_a_grid_a_scale_and_axes_and_names_in_full(stapler, tmp_pat
     assert ((space > 210) & (space < 235)).all(2).sum() > 200  # the grid
     assert (plot[:, :4] == 255).all()  # names end before the edge
     assert (plot[:, 4:60] < 100).any()
+
+
+def test_names_that_end_in_half_a_time_are_refused(folder, capsys):
+    for index, name in enumerate(("1403636579_763555584.png", "20230105123045.png")):
+        (folder / f"{index:04d}.png").rename(folder / name)
+        assert run(["track", str(folder), *GIVEN]) == 2
+        assert f"{name}: its number is no time; give the times with --times" in capsys.readouterr().err
+        (folder / name).unlink()
 
 
 @pytest.mark.parametrize("content", ["", "name,seconds\n0000.png,0\n0001.png,soon\n", "0000.png,0\n"])

@@ -13,7 +13,9 @@ from omad.common.errors import InputError
 from omad.geometry.camera import STANDARD_CAMERA
 from omad.geometry.lens import Distortion
 from omad.sensing.camera_files import parse_distortion, read_camera
+from omad.sensing.input_options import FrameOptions, InputOptions
 from omad.sensing.observation import Observation
+from omad.sensing.reader import InputReader
 
 LENSES = [
     Distortion("plumb_bob", BROWN),
@@ -114,6 +116,12 @@ def test_lenses_are_read_from_files(tmp_path):
         assert camera.size in ((640, 480), None)
         if camera.distortion is not None:
             assert camera.distortion.coefficients == BROWN[: len(camera.distortion.coefficients)]
+    P = [500, 0, 300, 9, 0, 510, 200, 0, 0, 0, 1, 0]
+    (tmp_path / "p.yaml").write_text(f"K: {flat}\nD: {listed}\nP: {P}\n")
+    options = InputOptions(intrinsics=str(tmp_path / "p.yaml"))
+    for frame, focal, lens in ((FrameOptions(), 600, "plumb_bob"), (FrameOptions(distortion="none"), 500, None)):
+        seen = InputReader.of(options, [], frame).observe(np.ones((480, 640), np.float32), None)
+        assert seen.camera.fx == focal, lens
     assert read_camera("600,600,319.5,239.5").distortion is None
     for content, word in (
         (json.dumps({**realsense, "model": "F-Theta"}), "f_theta"),

@@ -139,7 +139,7 @@ class Track(CategoryCommand):
         elif stream:
             frames = frames_from(sys.stdin, self._clock())
         elif self.frames is not None and is_bag(self.frames):
-            frames = recorded(self.frames, Topics(**vars(self.recording)))
+            frames = recorded(self.frames, Topics(**vars(self.recording)), self.reading.intrinsics is None)
         elif self.frames is not None and self.frames.is_dir():
             frames = frames_of(self.frames, self._clock())
         else:

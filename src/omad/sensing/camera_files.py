@@ -1,9 +1,9 @@
 """Cameras as people have them: intrinsics, lens distortion and the place of one camera before another, from files."""
 
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import yaml
@@ -43,6 +43,12 @@ class CameraFile:
     """None where there is none, or none is told."""
     size: tuple[int, int] | None = None
     """Width and height of the images that it is for, where told."""
+    rectified: np.ndarray | None = None
+    """(3, 3) pixels, of its images after they were rectified, where ROS's ``P`` tells it."""
+
+    def without_lens(self) -> Self:
+        """That of its rectified images."""
+        return replace(self, K=self.K if self.rectified is None else self.rectified, distortion=None)
 
 
 def read_camera(source: str | Path) -> CameraFile:
@@ -77,7 +83,7 @@ def camera_of(data: Any, name: str | Path) -> CameraFile:
     data = _inner(data)
     K = as_K(_find_intrinsics(data, name), str(name))
     try:
-        return CameraFile(K, _find_distortion(data), _find_size(data))
+        return CameraFile(K, _find_distortion(data), _find_size(data), _find_rectified(data))
     except InputError as error:
         raise InputError(f"{name}: {error}; undistort the images and give fx,fy,cx,cy, or --distortion") from error
     except WRONG as error:
@@ -223,6 +229,13 @@ def _model_name(told: Any) -> str | None:
         return REALSENSE[told]
     name = str(told).strip().lower().removeprefix("rs2_").removeprefix("distortion").lstrip("._")
     return {"fisheye": "equidistant"}.get(name, name.replace(" ", "_").replace("-", "_")) or None
+
+
+def _find_rectified(data: dict[str, Any]) -> np.ndarray | None:
+    listed = next((data[key] for key in ("P", "p", "projection_matrix") if key in data), None)
+    with suppress(*WRONG, InputError):  # drivers leave zeros
+        return as_K(np.asarray(_listed(listed), dtype=np.float64).reshape(3, 4)[:, :3], "P")
+    return None
 
 
 def _find_size(data: dict[str, Any]) -> tuple[int, int] | None:

@@ -163,6 +163,7 @@ class InputReader:
             told = "x".join(map(str, camera.size)) + "; give --intrinsics of the depth stream at this size"
             raise InputError(f"is {width}x{height}, but the camera of {told_by} is for {told}")
         lens = camera.distortion if self.distortion is None else parse_distortion(self.distortion)
+        camera = camera.without_lens() if self.distortion is not None and lens is None else camera
         whole = Camera.from_K(camera.K, width, height, lens)
         if mask is not None and mask.dtype != bool:
             mask = as_mask(mask, self.mask_id)

@@ -15,7 +15,8 @@ from omad.sensing.reader import input_files
 
 from .tracker import LATEST
 
-DIGITS = 30
+DIGITS, COUNTED = 30, 8
+"""Of a number with a decimal point, and of one that counts frames, at most."""
 STAMPS = {19: 1e-9, 16: 1e-6, 13: 1e-3, 10: 1.0}
 """Seconds per unit of a time stamp since 1970 by its number of digits; one that begins with a zero is a count."""
 
@@ -64,11 +65,12 @@ class Clock:
         number = re.search(r"(\d+)(\.\d+)?$", path.stem)
         if number is None:
             return self.count / self.fps
-        if len(number[0]) > DIGITS:
+        unit = None if number[0].startswith("0") else STAMPS.get(len(number[0]))
+        most = DIGITS if number[2] or unit else COUNTED
+        if len(number[0].lstrip("0")) > most:
             raise InputError(f"{shown(path)}: its number is no time; give the times with --times")
         if number[2]:
             return float(number[0])
-        unit = None if number[0].startswith("0") else STAMPS.get(len(number[0]))
         return int(number[0]) / self.fps if unit is None else int(number[0]) * unit
 
 

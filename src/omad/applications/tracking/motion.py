@@ -1,4 +1,5 @@
-"""Kalman filter over base pose and joint states: they keep their velocities, which change at random.
+"""Kalman filter over base pose and joint states: they keep their velocities, which change at random. Joints that
+come to their limits stop there.
 
 The state is (rotation vector of the base in camera axes, its translation, joint states) and its velocity, N = 6 + J
 numbers each, in radians and metres; the rotation lives on SO(3) and the filter on its tangent, as the least squares do.
@@ -6,9 +7,10 @@ numbers each, in radians and metres; the rotation lives on SO(3) and the filter 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from omad.estimation.estimate import Estimate
@@ -59,12 +61,19 @@ class Placement:
 
 
 class MotionFilter:
-    """Starts at rest at a placement measured with ``covariance`` (N, N)."""
+    """Starts at rest at a placement measured with ``covariance`` (N, N); joints move within ``limits`` (J, 2), radians
+    or metres."""
 
     def __init__(
-        self, config: MotionConfig, turning: tuple[bool, ...], start: Placement, covariance: np.ndarray
+        self,
+        config: MotionConfig,
+        turning: tuple[bool, ...],
+        start: Placement,
+        covariance: np.ndarray,
+        limits: ArrayLike = (-np.inf, np.inf),
     ) -> None:
         self.config, self.placement = config, start
+        self._low, self._high = np.asarray(limits, dtype=np.float64).T
         joints = [config.turning if turns else config.sliding for turns in turning]
         base = [0.0] * 6 if config.static_base else [config.rotation] * 3 + [config.translation] * 3
         self._density = np.diag(np.square(base + joints))
@@ -82,7 +91,12 @@ class MotionFilter:
         """Move on by ``dt`` seconds."""
         kept = np.exp(-dt / self.config.decay)
         reach = self.config.decay * (1 - kept)  # of a velocity that dies down
-        self.placement, self.velocity = self.placement.moved(reach * self.velocity), kept * self.velocity
+        before, moved = self.placement.joint_states, self.placement.moved(reach * self.velocity)
+        # what was measured beyond a limit may stay there
+        states = moved.joint_states.clip(np.minimum(self._low, before), np.maximum(self._high, before))
+        self.velocity = kept * self.velocity
+        self.velocity[6:][states != moved.joint_states] = 0.0
+        self.placement = replace(moved, joint_states=states)
         F = np.kron([[1, reach], [0, kept]], np.eye(self._size))
         Q = np.kron([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]], self._density)
         self._covariance = F @ self._covariance @ F.T + Q

@@ -33,7 +33,11 @@ class FrameReader:
         with named(frame.path):
             if source is None:
                 return self._of_one_size(reader(frame.path))
-            mask = source.mask if source.mask is not None or isinstance(reader.mask, Path) else reader.mask
+            if isinstance(reader.mask, Path):
+                raise InputError(f"--mask {reader.mask}: is a folder, but frames are no files; give --mask-topic")
+            mask = reader.mask if source.mask is None else source.mask
+            if mask is None:
+                reader.check_mask_id()
             camera = reader.camera or source.camera
             if camera is None:
                 raise InputError("its camera is not told; name its topic with --info-topic, or give --intrinsics")
@@ -53,9 +57,9 @@ class FrameReader:
         return seen
 
 
-def recorded(path: Path, topics: Topics) -> Iterator[FrameFile]:
-    """The frames of a recording; times count from the first one."""
-    return taken(read_bag(path, topics))
+def recorded(path: Path, topics: Topics, with_cameras: bool = True) -> Iterator[FrameFile]:
+    """The frames of a recording, as ``read_bag`` reads it; times count from the first one."""
+    return taken(read_bag(path, topics, with_cameras))
 
 
 def taken(frames: Iterable[RecordedFrame]) -> Iterator[FrameFile]:

@@ -21,6 +21,7 @@ from scipy.stats import chi2
 
 from omad.common.arrays import as_doubles
 from omad.common.errors import InputError, shown
+from omad.estimation.confidence.model import RIGHT_ANGLE, RIGHT_SHARE
 from omad.estimation.estimate import Estimate
 from omad.estimation.estimator import Estimator
 from omad.estimation.known import NOTHING_KNOWN, Known, Near
@@ -189,7 +190,8 @@ class Tracker:
         if not self.shape.views:
             self.shape.update(single.beta, single.covariance[n:, n:], self.shape.count(0.0))
         covariance, turning = single.covariance[:n, :n], self.estimator.category.turning
-        motion = MotionFilter(config.motion, turning, Placement.of(single), config.jitter * covariance)
+        limits = [joint.limits for joint in single.joints]
+        motion = MotionFilter(config.motion, turning, Placement.of(single), config.jitter * covariance, limits)
         self._candidate = None
         common = (1 - config.jitter) * covariance
         self._track = _Track(motion, single, time, time, common, Placement.of(single))
@@ -213,8 +215,9 @@ class Tracker:
         if track.now - track.believed > self.config.lost_after:
             self._track = None
             return TrackedEstimate(track.now, "lost", None, single, surprise)
-        said = ("predicted: this frame was not used",)
-        unseen = replace(self._answer(track).without_labels(), warnings=said)
+        answer, said = self._answer(track).without_labels(), ("predicted: this frame was not used",)
+        told = answer.probability
+        unseen = replace(answer, warnings=said, probability=None if told is None else told * _still_right(answer))
         return TrackedEstimate(track.now, "coasting", unseen, single, surprise)
 
     def _challenge(self, track: _Track, warm: Estimate, cold: Estimate, believed: bool) -> tuple[Estimate, bool]:
@@ -267,6 +270,14 @@ def _of_one_hand(known: Known, last: Estimate | None) -> Known:
     if last is None or known.mirrored_probability is not None:
         return known
     return replace(known, mirrored_probability=last.mirrored_probability)
+
+
+def _still_right(estimate: Estimate) -> float:
+    """How likely no joint has moved farther meanwhile than an answer that is right may be off, by its deviations."""
+    size = float(np.linalg.norm(np.ptp(estimate.canonical_keypoints, axis=0)))
+    most = np.where(estimate.category.turning, RIGHT_ANGLE, RIGHT_SHARE * size)
+    std = np.array([joint.state_std for joint in estimate.joints])
+    return float(chi2.cdf(np.square(most / np.maximum(std, 1e-9)), 1).prod())
 
 
 def evidence(estimate: Estimate) -> float:

@@ -2,7 +2,7 @@
 
 from collections import deque
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,8 @@ from .images import depth_from, image_from
 
 SUFFIXES = (".mcap", ".db3", ".bag")
 IMAGE, COMPRESSED, INFO = (f"sensor_msgs/msg/{name}" for name in ("Image", "CompressedImage", "CameraInfo"))
+RECTIFIED = "image_rect"
+"""In the name of a topic of images that have no lens any more."""
 INSIDE = ("info", "camera_info")
 """What a camera's topic has after that of its images."""
 WITHIN = 0.05
@@ -68,10 +70,10 @@ def is_bag(path: Path) -> bool:
     return path.suffix.lower() in SUFFIXES
 
 
-def read_bag(path: Path, topics: Topics) -> Iterator[RecordedFrame]:
+def read_bag(path: Path, topics: Topics, with_cameras: bool = True) -> Iterator[RecordedFrame]:
     """Depth images in the order of the recording, each with its camera, and with the colours and the mask that were
-    taken at the same moment by the stamps in their headers. Raises InputError for a recording that cannot be read, and
-    where the topics are not there."""
+    taken at the same moment by the stamps in their headers; not ``with_cameras``, what is recorded of these is not
+    asked for. Raises InputError for a recording that cannot be read, and where the topics are not there."""
     try:
         highlevel, typesys = import_module("rosbags.highlevel"), import_module("rosbags.typesys")
     except ImportError as error:
@@ -82,7 +84,8 @@ def read_bag(path: Path, topics: Topics) -> Iterator[RecordedFrame]:
         raise InputError(f"{path}: no such recording; give an .mcap, .db3 or .bag file, or a ROS 2 bag's folder")
     store = typesys.get_typestore(typesys.Stores.LATEST)
     with readable(path, "a recording"), highlevel.AnyReader([path], default_typestore=store) as reader:
-        yield from _frames(reader, _chosen(reader, topics, path))
+        chosen = _chosen(reader, topics, path)
+        yield from _frames(reader, chosen if with_cameras else replace(chosen, info=[]))
 
 
 @dataclass(frozen=True)
@@ -149,7 +152,7 @@ class _Image:
 def _frames(reader: Any, chosen: _Chosen) -> Iterator[RecordedFrame]:
     # the camera may be told after the first image
     infos = reader.messages(connections=chosen.info) if chosen.info else ()
-    camera = next((camera_from(reader.deserialize(raw, told.msgtype)) for told, _, raw in infos), None)
+    camera = next((_camera(reader.deserialize(raw, told.msgtype), told.topic) for told, _, raw in infos), None)
     depth, info, color = ({c.topic for c in found} for found in (chosen.depth, chosen.info, chosen.color))
     waiting: deque[tuple[_Image, CameraFile | None]] = deque()
     beside: dict[str, deque[_Image]] = {kind: deque() for kind in ("color", "mask") if getattr(chosen, kind)}
@@ -171,9 +174,10 @@ def _frames(reader: Any, chosen: _Chosen) -> Iterator[RecordedFrame]:
     for connection, recorded, raw in reader.messages(connections=chosen.all()):
         message = reader.deserialize(raw, connection.msgtype)
         if connection.topic in info:
-            camera = camera_from(message)
+            camera = _camera(message, connection.topic)
         elif connection.topic in depth:
-            waiting.append((_Image(message, recorded), camera))
+            own = camera and camera.without_lens() if RECTIFIED in connection.topic else camera
+            waiting.append((_Image(message, recorded), own))
         else:
             images = beside["color" if connection.topic in color else "mask"]
             images.append(_Image(message, recorded))
@@ -183,6 +187,13 @@ def _frames(reader: Any, chosen: _Chosen) -> Iterator[RecordedFrame]:
             yield first()
     while waiting:
         yield first()
+
+
+def _camera(message: Any, topic: str) -> CameraFile | None:
+    try:
+        return camera_from(message)
+    except InputError as error:
+        raise InputError(f"{topic}: {error}; or give --intrinsics in its place") from error
 
 
 def _nearest(images: deque[_Image], taken: float) -> np.ndarray | None:

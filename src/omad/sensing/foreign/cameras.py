@@ -22,6 +22,8 @@ CARRIED = (
     "cy",
     "K",
     "k",
+    "P",
+    "p",
     "D",
     "d",
     "distortion_model",
