@@ -8,6 +8,7 @@ same weights and take the same steps; the first alone reads and writes files. Fa
 
 from __future__ import annotations
 
+import atexit
 import logging
 import os
 import sys
@@ -177,6 +178,8 @@ def start(devices: int, nodes: int, parts: int, device: str, precision: Precisio
     except (RuntimeError, ValueError) as error:
         said = f"--devices {devices} --nodes {nodes}: the processes cannot be started"
         raise InputError(f"{said} ({one_line(error)}); say so many as there are") from error
+    if kind.type == "cpu":  # threads that gloo leaves behind may abort a process that is done
+        atexit.register(torch.distributed.destroy_process_group)
     if fabric.global_rank > 0:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # the answer is the first one's to give
     return Processes(fabric.device, parts, precision, fabric.global_rank, fabric.world_size, fabric)
