@@ -9,7 +9,8 @@ import omad
 from helpers.command_line import LAPTOP, K, answer, laptop_view, refused, save_png
 from omad.cli.main import run
 from omad.evaluation.confidence import surface_shares
-from omad.model.checkpoint import find_weights
+from omad.model.checkpoint import find_weights, load, save
+from omad.model.priornet import PriorNet
 from omad.model.surfaces.bank import FILE
 from omad.model.surfaces.surfaces import Surfaces
 
@@ -51,6 +52,20 @@ def test_an_interrupted_measurement_leaves_no_bank_that_looks_finished(weights, 
     monkeypatch.setattr(surface_shares, "measured_shares", interrupted)
     assert run(["train", "surface", *LAPTOP, "--weights", str(weights), "--objects", "1", "--views", "1"]) == 130
     assert not (weights / FILE).exists()
+
+
+def test_the_bank_must_be_of_the_weights_prior_and_models_want_that_in_their_folder(weights, tmp_path, capsys):
+    models = tmp_path / "models"
+    answer(capsys, "generate", *LAPTOP, "--objects", "1", "--output", str(models))
+    prior = load(PriorNet, find_weights("laptop") / "prior")
+    prior.prior.learned_basis.mul_(1.1)
+    save(prior, tmp_path / "other", {})
+    made = ["--weights", str(weights), "--source", str(models)]
+    said = refused(capsys, "train", "surface", *LAPTOP, *made, "--prior", str(tmp_path / "other"))
+    assert "was made with another prior than these weights" in said
+    assert not (weights / FILE).exists()
+    said = refused(capsys, "index", "build", *LAPTOP, *made, "--output", str(tmp_path / "index"))
+    assert "prior: is missing; copy there the folder that omad train prior wrote" in said
 
 
 def test_weights_are_not_exported_onto_themselves(weights, capsys):

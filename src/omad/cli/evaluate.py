@@ -34,6 +34,7 @@ from .options import (
     checkpoints,
     everywhere,
     load_prior,
+    prior_of,
 )
 
 with lazy_imports():
@@ -288,7 +289,7 @@ class EvalViews(CategoryCommand):
     def run(self) -> Answer:
         check_positive(objects=self.data.objects, views=self.views)
         folder = find_weights(self.weights or self.category)
-        net, priornet = load(OmadNet, folder).to(pick_device(self.device)), load_prior(folder / "prior", self.device)
+        net, priornet = load(OmadNet, folder).to(pick_device(self.device)), prior_of(folder, self.device)
         self.check_weights(net.category)
         models = self.data.load(net.category).models
         return Answer(asdict(compare_views(net, priornet, models, self.views, self.data.seed)))

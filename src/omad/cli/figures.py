@@ -13,7 +13,17 @@ from omad.common.files import make_folder, write_json
 from omad.common.lazy import lazy_imports
 
 from .answer import Answer, known
-from .options import BrokenFiles, CategoriesCommand, Models, Seed, Views, check_positive, checkpoints, load_prior
+from .options import (
+    BrokenFiles,
+    CategoriesCommand,
+    Models,
+    Seed,
+    Views,
+    check_positive,
+    checkpoints,
+    load_prior,
+    prior_of,
+)
 
 with lazy_imports():
     from matplotlib.figure import Figure
@@ -81,7 +91,7 @@ class FigureKeypoints(_Drawing):
 
     def run(self) -> Answer:
         check_positive(objects=self.data.objects, columns=self.columns)
-        nets = [load_prior(folder / "prior", self.device) for folder in checkpoints(self.weights, self.categories)]
+        nets = [prior_of(folder, self.device) for folder in checkpoints(self.weights, self.categories)]
         rows = [correspondence.correspondence(net, self.data.load(net.category).models) for net in nets]
         picture = correspondence.draw(rows, min(self.columns, max(len(row.models) for row in rows)))
         return self._write("keypoints", {"keypoints": picture}, [*map(correspondence.record, rows)], self.data)

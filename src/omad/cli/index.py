@@ -26,7 +26,7 @@ from .options import (
     Weights,
     check_positive,
     everywhere,
-    load_prior,
+    prior_of,
 )
 
 with lazy_imports():
@@ -130,7 +130,7 @@ class IndexBuild(CategoryCommand):
                 lambda some: self._read(folder, some, refused),
                 self.fuse,
             )
-        net = load_prior(find_weights(self.weights or self.category) / "prior", self.device)
+        net = prior_of(find_weights(self.weights or self.category), self.device)
         models = load_models(self.source, category, self.objects, "test", self.seed)
         refused += models.refused
         return portions_of_models(net, models.models[taken:], self.source)
@@ -151,7 +151,7 @@ class IndexBuild(CategoryCommand):
         elif files := self._files():
             seen = self._read(Path(self.source), files, refused)
         else:  # models, whose meshes look like clouds
-            net = load_prior(find_weights(self.weights or self.category) / "prior", self.device)
+            net = prior_of(find_weights(self.weights or self.category), self.device)
             models = load_models(self.source, category, self.objects, "test", self.seed)
             return replace(catalogue.from_models(net, models.models, self.source), refused=models.refused)
         return replace(catalogue.from_observations(estimator, seen, self.fuse), refused=refused)

@@ -208,6 +208,13 @@ def load_prior(folder: Path, device: str) -> PriorNet:
     return checkpoint.load(PriorNet, folder).to(pick_device(device))
 
 
+def prior_of(weights: Path, device: str) -> PriorNet:
+    """The prior's network that lies in the checkpoint folder of other ``weights``. Raises InputError."""
+    if not checkpoint.is_checkpoint(folder := weights / "prior"):
+        raise InputError(f"{folder}: is missing; copy there the folder that omad train prior wrote for these weights")
+    return load_prior(folder, device)
+
+
 LIMITED = {name: "objects" for name in ("objects", "variants", "strangers", "gallery")}
 LIMITED |= {name: "views" for name in ("views", "queries", "draws")}
 """Options that are counts, and the limit of each."""

@@ -177,12 +177,12 @@ class TrainSurface:
         check_category("--prior", shipped, net.category, self.category)
         models = load_models(self.source, net.category, self.objects, "train", 0).models
         bank = surface_bank(net, models, generated=self.source == "procedural")
+        estimator = omad.Estimator.from_pretrained(folder)
+        bank.check_prior(estimator.net.prior, folder / banks.FILE)
         unseen = self.unseen or (self.source if is_generated(self.source) else None)
         record: dict[str, Any] = {}
         if unseen is not None:
             models = load_models(unseen, net.category, self.views, "train", UNSEEN).models
-            estimator = omad.Estimator.from_pretrained(folder)
-            bank.check_prior(estimator.net.prior, folder / banks.FILE)
             estimator.surfaces = Surfaces(estimator.net.prior, net.category, lambda: bank)
             shares = measured_shares(estimator, models, self.views, seed=0)
             if shares is not None:
