@@ -7,15 +7,20 @@ from functools import cache
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import omad
 from omad.applications.detection.cutting import ObjectFinder
 from omad.applications.detection.detector import Detector, measured_margin
 from omad.applications.solver import Solver
 from omad.common.errors import NothingSeen
+from omad.data.procedural import generate
 from omad.data.rendering.depth_noise import ON
+from omad.data.rendering.standard_views import standard_view
 from omad.data.rendering.tabletop import Placed, Tabletop, draw_tabletop
+from omad.estimation.known import Known
 from omad.geometry.camera import STANDARD_CAMERA
+from omad.objects.category_file import get_category
 from omad.sensing.observation import Observation
 
 SCENES = range(3)
@@ -147,6 +152,20 @@ def test_an_answer_is_no_surer_than_that_the_thing_is_the_object() -> None:
     assert unsure.estimate.probability == 0.3
     served = solver.judged(replace(found, likelihood=0.3), sure.estimate, None, further=False)  # as a service asks
     assert served.estimate.probability == 0.3
+
+
+def test_of_any_category_wrong_cameras_and_gravity_are_doubted_as_of_one() -> None:
+    estimator, category = omad.Estimator.from_pretrained("laptop"), get_category("laptop")
+    seen = standard_view(generate(category, 0, "test"), category, (0, 0)).observation()
+    turned = Rotation.from_euler("z", 40, degrees=True).apply(-estimator(seen).T_camera_base[:3, 1])
+    narrow = replace(seen, points=seen.points * np.float32([1.5, 1.5, 1]))
+    for view, known, name in ((seen, Known(gravity=turned), "gravity"), (narrow, Known(), "intrinsics")):
+        for chosen in (estimator, None):
+            found = Solver(chosen, lambda: [estimator], known)(view, None)
+            assert found.doubtful
+            assert name in [check.name for check in found.checks]
+    few = Solver(None, lambda: [estimator])(narrow, None, further=False)
+    assert "intrinsics" not in [check.name for check in few.checks]
 
 
 def test_an_object_that_was_cut_out_already_is_found_in_the_frame_that_shows_it_alone() -> None:

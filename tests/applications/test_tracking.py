@@ -200,6 +200,14 @@ def test_joints_stop_at_their_limits():
     assert filter.velocity[6:].tolist() == [0, 0, pytest.approx(0.1 * np.exp(-0.5))]
 
 
+def test_what_may_be_another_object_is_no_surer_than_that(stapler):
+    observation, _ = stapler
+    tracker = omad.Tracker(omad.Estimator.from_pretrained("stapler", "cpu"))
+    first, second = (tracker(replace(observation, likelihood=0.3), time) for time in (0.0, 0.1))
+    assert (first.status, second.status) == ("lost", "tracking")
+    assert second.estimate.probability <= 0.3
+
+
 def test_an_unseen_object_is_less_and_less_surely_where_it_was(stapler):
     tracker = omad.Tracker(omad.Estimator.from_pretrained("stapler", "cpu"), TrackerConfig(sure=0.0))
     told = [tracker(seen, time).estimate.probability for seen, time in ((stapler[0], 0), (None, 0.03), (None, 0.5))]

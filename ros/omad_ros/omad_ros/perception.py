@@ -6,6 +6,7 @@ from omad.applications.detection.cutting import ObjectFinder
 from omad.applications.detection.detector import Detector
 from omad.applications.tracking.tracker import Tracker
 from omad.common.errors import NothingSeen
+from omad.estimation.checks import no_surer
 from omad.estimation.estimate import Estimate
 from omad.estimation.estimator import Estimator
 from omad.sensing.observation import Observation
@@ -49,7 +50,7 @@ class Perception:
             seen = None
         if self._tracker is not None:
             return self._tracker(seen, time).estimate
-        return None if seen is None else self.estimator(seen)
+        return None if seen is None else no_surer(self.estimator(seen), seen.likelihood)
 
 
 def _taken(image: Any) -> float:

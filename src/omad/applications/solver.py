@@ -74,21 +74,35 @@ class Solver:
     to_surface: bool = False
     """Answers go on towards their surfaces, once all is said of them."""
 
-    def __call__(self, observation: Observation, depth_scale: float | None) -> Found:
-        """``depth_scale``: metres per number that it was read with, where known. Raises InputError where there is no
-        answer."""
-        found = self._solve(observation, depth_scale)
+    def __call__(self, observation: Observation, depth_scale: float | None, further: bool = True) -> Found:
+        """``depth_scale``: metres per number that it was read with, where known; ``further``: doubt also by further
+        estimates. Raises InputError where there is no answer."""
+        found = self._solve(observation, depth_scale, further)
         return replace(found, estimate=found.estimate.to_surface()) if self.to_surface and not found.none else found
 
-    def _solve(self, observation: Observation, depth_scale: float | None) -> Found:
+    def _solve(self, observation: Observation, depth_scale: float | None, further: bool) -> Found:
         if self.chosen is None:
             ranking = rank(observation, self.all, self.known)
             if not ranking.candidates:
                 raise InputError("is of none of the categories, at no size; check depth scale, mask and intrinsics")
             first = ranking.candidates[0]
             best = no_surer(first.estimate, min(first.probability, observation.likelihood))
-            return Found.of(best, doubts(observation, best, depth_scale), ranking, ranking.is_none)
-        return self.judged(observation, self.chosen(observation, self.known), depth_scale)
+            checks = doubts(observation, best, depth_scale)
+            if further:
+                own = next(one for one in self.all if one.category.name == best.category.name)
+                checks += self._told_by_others(observation, first.estimate, checks, own)
+            return Found.of(best, checks, ranking, ranking.is_none)
+        return self.judged(observation, self.chosen(observation, self.known), depth_scale, further)
+
+    def _told_by_others(
+        self, observation: Observation, estimate: Estimate, found: Sequence[Check], estimator: AnyEstimator
+    ) -> list[Check]:
+        """What other estimates of its category say against one of which so much was ``found``: without gravity, and
+        with other focal lengths."""
+        checks = gravity_doubts(observation, estimate, self.known, estimator)
+        if all(check.name == "residual" for check in (*found, *checks)):  # which a wrong focal length may explain, too
+            checks += camera_doubts(observation, estimate, lambda views: estimator(views, self.known))
+        return checks
 
     def judged(
         self, observation: Observation, estimate: Estimate, depth_scale: float | None, further: bool = True
@@ -103,9 +117,7 @@ class Solver:
             raise InputError(f"no answer: {checks[0]}")
         if not further:
             return Found.of(answer, checks)
-        checks += gravity_doubts(observation, estimate, self.known, chosen)
-        if all(check.name == "residual" for check in checks):  # which a wrong focal length may explain, too
-            checks += camera_doubts(observation, estimate, lambda views: chosen(views, self.known))
+        checks += self._told_by_others(observation, estimate, checks, chosen)
         odd_size = any(check.name == "size" for check in checks)  # of which every category says anything
         if (checks and not odd_size) or self.compare:
             ranking = rank(observation, self.all, self.known, always=[chosen.category.name])

@@ -102,9 +102,9 @@ def believed(estimate: Estimate, found: Sequence[Check]) -> Estimate:
 
 def no_surer(estimate: Estimate, probability: float) -> Estimate:
     """The estimate, that it is right being no likelier than so."""
-    if estimate.probability is None:
+    if estimate.probability is None or estimate.probability <= probability:
         return estimate
-    return replace(estimate, probability=min(estimate.probability, probability))
+    return replace(estimate, probability=probability)
 
 
 def size_doubts(observation: Observation, category: Category, depth_scale: float | None = None) -> Iterator[Check]:

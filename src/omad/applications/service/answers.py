@@ -94,7 +94,7 @@ def _replies(read: list[_Read], solver: Solver) -> list[Reply]:
 def _of_any(read: _Read, solver: Solver) -> Found:
     if isinstance(read.view, Exception):
         raise read.view
-    return solver(read.view, read.asked.metres_per_number)
+    return solver(read.view, read.asked.metres_per_number, further=read.asked.checks == "all")
 
 
 def _judged(read: _Read, estimate: Any, solver: Solver) -> Found:

@@ -21,6 +21,7 @@ from scipy.stats import chi2
 
 from omad.common.arrays import as_doubles
 from omad.common.errors import InputError, shown
+from omad.estimation.checks import no_surer
 from omad.estimation.confidence.model import RIGHT_ANGLE, RIGHT_SHARE
 from omad.estimation.estimate import Estimate
 from omad.estimation.estimator import Estimator
@@ -155,13 +156,13 @@ class Tracker:
         if observation is None:
             return self._miss(track, None, None)
         known = _of_one_hand(known, track.last)
-        single = self.estimator.near(observation, self._near(track), known)
+        single = no_surer(self.estimator.near(observation, self._near(track), known), observation.likelihood)
         surprise = self._surprise(track, single)
         believed = surprise < self._limit and self._plausible(single)
         track.since_challenge += 1
         if not believed or track.doubt > 0 or track.since_challenge == self.config.challenge_every:
             track.since_challenge = 0
-            single, believed = self._challenge(track, single, self.estimator(observation, known), believed)
+            single, believed = self._challenge(track, single, self._cold(observation, known), believed)
             surprise = self._surprise(track, single)
         if believed:
             return self._believe(track, single, surprise)
@@ -173,13 +174,16 @@ class Tracker:
 
     def _search(self, observation: Observation | None, time: float, known: Known) -> TrackedEstimate:
         before, self._candidate = self._candidate, None
-        cold = None if observation is None else self.estimator(observation, _of_one_hand(known, before))
+        cold = None if observation is None else self._cold(observation, _of_one_hand(known, before))
         if cold is not None and self._plausible(cold):
             first_of_all = before is None and self.shape.views == 0 and (cold.probability or 0.0) >= self.config.sure
             if first_of_all or (before is not None and self._agree(before, cold)):
                 return self._start(cold, time)
             self._candidate = cold
         return TrackedEstimate(time, "lost", None, cold)
+
+    def _cold(self, observation: Observation, known: Known) -> Estimate:
+        return no_surer(self.estimator(observation, known), observation.likelihood)
 
     def _start(self, single: Estimate, time: float) -> TrackedEstimate:
         """Begin a track at an answer. The shape believed so far is kept where it may be the same object's."""
