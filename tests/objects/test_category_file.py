@@ -115,6 +115,12 @@ def test_json_is_the_same_file(written):
     assert read_spec(written(json.dumps(tomllib.loads(text)), "mine.json")) == read_spec(written(text))
 
 
+def test_files_of_windows_are_read(written):
+    path = written(SMALL)
+    path.write_bytes(b"\xef\xbb\xbf" + SMALL.replace("\n", "\r\n").encode())  # a byte order mark
+    assert read_spec(path) == read_spec(written(SMALL, "other.toml"))
+
+
 def test_shipped_categories_are_called_by_name():
     assert {"dishwasher", "drawer", "eyeglasses", "laptop", "scissors"} < {*builtin_names()}
     for name in builtin_names():
@@ -177,9 +183,9 @@ def test_a_screw_turns_and_advances(written):
 
 
 def test_every_rest_rule_can_be_chosen(written):
-    for kind, rules in (("revolute", get_args(RestRule)), ("prismatic", SLIDING_REST_RULES)):
+    for kind, high, rules in (("revolute", 90, get_args(RestRule)), ("prismatic", 0.3, SLIDING_REST_RULES)):
         for rule in rules:
-            limits = f'limits = [0, 90]\nrest = "{rule}"'
+            limits = f'limits = [0, {high}]\nrest = "{rule}"'
             text = SMALL.replace('"revolute"', f'"{kind}"').replace("limits = [0, 90]", limits)
             assert read_spec(written(text)).joints[0].rest == rule
 
@@ -217,6 +223,10 @@ SLIPS = {
     "limits alone": ("[0, 90]", "[90]", "parts[1].joint.limits"),
     "limits not finite": ("[0, 90]", "[0, inf]", "parts[1].joint.limits"),
     "limits in radians": ("[0, 90]", "[0, 1.57]", "parts[1].joint.limits"),
+    "limits in millimetres": (
+        'type = "revolute"\naxis = "-y"\nlimits = [0, 90]', 'type = "prismatic"\naxis = "+z"\nlimits = [0, 300]',
+        "parts[1].joint.limits",
+    ),
     "a rest of its own": ("limits", 'rest = "ajar"\nlimits', "parts[1].joint.rest"),
     "a rest of another type": (
         'type = "revolute"', 'type = "prismatic"\nrest = "perpendicular"', "parts[1].joint.rest",

@@ -115,9 +115,9 @@ def read_bytes(path: Path, name: str = "data_bytes") -> bytes:
 
 
 def read_text(path: Path, cure: str = "export it again", errors: str = "strict") -> str:
-    """UTF-8. Raises InputError."""
+    """UTF-8, with a byte order mark or without. Raises InputError."""
     with readable(path, "text", cure):
-        return read_bytes(path, "text_bytes").decode("utf-8", errors)
+        return read_bytes(path, "text_bytes").decode("utf-8-sig", errors)
 
 
 def parse_json(text: str | bytes, path: str | Path, cure: str = "export it again") -> Any:

@@ -29,6 +29,8 @@ from omad.geometry.joint_kinds import JointType
 from .builtin import FOLDER, builtin_names
 from .category import Category, JointSpec, PartSpec, RestRule, ViewRange, check_unit
 
+FARTHEST_SLIDE = 30.0
+"""Category units; beyond are lengths in another unit."""
 _Vector = tuple[float, float, float]
 _NEED_DIRECTION = 'a direction: "+x", "-y", "+y-z" or three numbers (x right, y up, z to the front)'
 _Direction = Annotated[str | _Vector, _NEED_DIRECTION]
@@ -192,6 +194,12 @@ def _joint(table: _Joint, index: int, names: list[str], before: list[JointSpec],
     if spec.motion.turns and max(map(abs, spec.limits)) <= 2 * math.pi:
         raise ValueError(
             f"limits: are degrees, and {spec.limits} hardly a movement; of radians, give {_in_degrees(spec)}"
+        )
+    if not spec.motion.turns and max(map(abs, spec.limits)) > FARTHEST_SLIDE * metres_per_unit:
+        cm, mm = ([end / factor for end in spec.limits] for factor in (100, 1000))
+        raise ValueError(
+            f"limits: are metres, and {spec.limits} too far for metres_per_unit {metres_per_unit:g}; "
+            f"of centimetres, give {cm}, of millimetres {mm}"
         )
     unit = math.radians(1) if spec.motion.turns else 1 / metres_per_unit
     return replace(spec, limits=tuple(end * unit for end in table.limits))
