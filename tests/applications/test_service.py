@@ -125,6 +125,11 @@ def test_the_page_on_request(service):
         assert page.body.strip().endswith(b"</html>")
 
 
+def test_who_asks_for_json_gets_it_whatever_a_browser_accepts(service):
+    answer = service.post(fields(format=b"json", checks=b"few"), Accept="text/html,*/*")
+    assert answer.record["category"] == "laptop"
+
+
 def test_auto_tells_the_category(service):
     found = service.post({key: value for key, value in fields().items() if key != "category"}).record
     assert found["category"] == "laptop"

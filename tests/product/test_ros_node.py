@@ -98,6 +98,18 @@ def test_perception_follows_messages(store, with_mask):
     assert abs(perception(depth, info, mask).joint_states[0] - laptop_view().states[0]) < 0.1
 
 
+def test_rectified_images_have_no_lens(store):
+    kind, (depth, info, mask) = importlib.import_module("omad_ros.perception").Perception, inputs(store)
+    info.p, info.k = (
+        np.array([600.0, 0, 319.5, 0, 0, 600, 239.5, 0, 0, 0, 1, 0]),
+        np.array([720.0, 0, 319.5, 0, 720, 239.5, 0, 0, 1]),
+    )
+    info.d = np.array([-0.3, 0.1, 0, 0, 0])
+    right = Estimator.from_pretrained("laptop")(Observation.from_depth(laptop_view().depth, laptop_view().camera))
+    found = kind(Estimator.from_pretrained("laptop"), track=False, rectified=True)(depth, info, mask)
+    np.testing.assert_allclose(found.keypoints, right.keypoints, atol=1e-3)
+
+
 class Synchronizer:
     """Like message_filters': of each topic it keeps the newest, and passes on those of one moment."""
 
@@ -131,6 +143,9 @@ def published(store, monkeypatch) -> list:
 
         def create_publisher(self, kind, topic, queue):
             return SimpleNamespace(publish=lambda message: said.append((topic, message)))
+
+        def resolve_topic_name(self, topic):
+            return f"/{topic}"
 
         def get_logger(self):
             return SimpleNamespace(error=lambda text, **_: said.append(("error", text)))

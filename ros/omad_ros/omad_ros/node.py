@@ -22,6 +22,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from omad.common.errors import InputError
 from omad.estimation.estimator import Estimator
+from omad.sensing.foreign.bags import RECTIFIED
 
 from .messages import Messages
 from .perception import Perception
@@ -49,7 +50,7 @@ class OmadNode(Node):
         told = {name: self.declare_parameter(name, default).value for name, default in DEFAULTS.items()}
         # a path is a folder, even one that is called like a category
         estimator = Estimator.from_pretrained(Path(told["weights"]) if told["weights"] else told["category"], "cpu")
-        self.perception = Perception(estimator, told["track"])
+        self.perception = Perception(estimator, told["track"], RECTIFIED in self.resolve_topic_name("depth"))
         types = {f"{package}/msg/{kind.__name__}": kind for package, kinds in CLASSES.items() for kind in kinds}
         self.messages = Messages(types)
         self.states = self.create_publisher(JointState, "joint_states", QUEUE)

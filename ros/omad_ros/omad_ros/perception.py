@@ -9,6 +9,7 @@ from omad.common.errors import NothingSeen
 from omad.estimation.checks import no_surer
 from omad.estimation.estimate import Estimate
 from omad.estimation.estimator import Estimator
+from omad.sensing.foreign.cameras import camera_from
 from omad.sensing.observation import Observation
 
 NANOSECONDS = 1e-9
@@ -19,8 +20,9 @@ BACK = 1.0
 class Perception:
     """Follows the object, or estimates each frame alone."""
 
-    def __init__(self, estimator: Estimator, track: bool = True) -> None:
-        self.estimator = estimator
+    def __init__(self, estimator: Estimator, track: bool = True, rectified: bool = False) -> None:
+        """``rectified``: images have no lens any more, and the camera that CameraInfo's P tells."""
+        self.estimator, self.rectified = estimator, rectified
         self._find = ObjectFinder(Detector([estimator]))
         self._track = track
         self._begin()
@@ -44,7 +46,10 @@ class Perception:
             self._begin()
         self._last = time
         try:
-            seen = Observation.from_depth(depth, info, mask)
+            camera = camera_from(info)
+            if camera is not None and self.rectified:
+                camera = camera.without_lens()
+            seen = Observation.from_depth(depth, camera, mask)
             seen = self._find(seen) if mask is None else seen
         except NothingSeen:
             seen = None

@@ -57,8 +57,9 @@ class Service:
         most, seconds, asked = self.bounds.body_bytes, self.bounds.seconds, None
         try:
             async with asyncio.timeout(seconds):
-                asked = Asked.of(await read_form(request, most))
-                if "text/html" in request.headers.get("accept", ""):
+                form = await read_form(request, most)
+                asked = Asked.of(form)
+                if "format" not in form and "text/html" in request.headers.get("accept", ""):
                     asked = replace(asked, format="html")
                 self.answers.check(asked)
                 return await self.batcher(asked)
