@@ -69,11 +69,14 @@ def test_options_of_one_image_hold_for_tracks(folder, sequence, capsys):
     Path("colours").mkdir()
     for index in range(4):
         Image.new("RGB", (640, 480), (200, 0, 100)).save(f"colours/{index:04d}.jpg")
-    options = ["--world", "world", "--color", "colours", "--distortion", "none", "--formats", "urdf", "--gif"]
+    options = ["--world", "world", "--color", "colours", "--distortion", "none", "--formats", "urdf", "ros", "--gif"]
     _, lines = tracked(capsys, str(folder), *K, "--fps", "10", *options)
     heights = [line["world"]["T_world_base"][2][3] for line in lines]
     assert np.diff(heights) == pytest.approx(1, abs=0.1)
     assert Path("omad-track/last/robot.urdf").is_file()
+    base = json.loads(Path("omad-track/last/ros.json").read_text())["tf"]["transforms"][0]
+    assert base["header"]["frame_id"] == "world"
+    assert base["transform"]["translation"]["z"] == pytest.approx(heights[-1])
     assert Image.open("omad-track/track.gif").convert("RGB").resize((1, 1)).getpixel((0, 0))[0] > 150  # in colour
     assert run(["track", str(folder), *K, *GIVEN, "--gravity=0,1,0", "--fps", "10"]) in (0, 1)
     assert run(["track", str(folder), *K, *GIVEN, "--gravity", "world"]) == 2
@@ -212,8 +215,8 @@ def test_intrinsics_take_the_place_of_a_camera_that_nobody_calibrated(sequence, 
     assert tracked(capsys, bag, *K)[1][0]["status"] == "tracking"
 
 
-@pytest.mark.parametrize("option", [("--mask", "."), ("--mask-id", "3")])
-def test_masks_that_no_frame_of_a_recording_has_are_refused(option, sequence, capsys):
+@pytest.mark.parametrize("option", [("--mask", "."), ("--mask-id", "3"), ("--times", "times.csv")])
+def test_what_holds_for_no_frame_of_a_recording_is_refused(option, sequence, capsys):
     bag = str(write_bag(Path("recording"), sequence[:1], "mcap"))
     assert run(["track", bag, *GIVEN, *option]) == 2
     assert option[0] in capsys.readouterr().err

@@ -71,7 +71,7 @@ class Track(CategoryCommand):
     recording: OmitArgPrefixes[Recording] = Recording()
     world: Path | None = None
     """T_world_camera, 4x4 text or NPY, or JSON with it; or a folder with one for each frame, named like it: poses are
-    given in the world frame, too."""
+    given in the world frame, too, and --formats of the last frame are written in it."""
     gravity: str | None = None
     """Of an object that stands upright: x,y,z, where down is in the camera frame (y is down in a level camera); or
     world, for --world with z up."""
@@ -134,6 +134,9 @@ class Track(CategoryCommand):
         """Raises InputError where there are none."""
         if (self.frames is None) == (self.camera is None):
             raise InputError("FRAMES or --camera: give a folder, a recording or -, or a camera to follow")
+        timed = self.camera is not None or (self.frames is not None and is_bag(self.frames))
+        if timed and self.times is not None:
+            raise InputError("--times: recordings and cameras tell the times of their frames; leave it out")
         if self.camera is not None:
             frames = taken(realsense.open_camera())
         elif stream:

@@ -17,7 +17,7 @@ from omad.common.batches import progress
 from omad.common.errors import InputError, NothingSeen, WorkError
 from omad.common.files import one_line, publish, unfinished, write_atomic, write_json, writing
 from omad.common.incoming import read_json
-from omad.estimation.estimate import plain
+from omad.estimation.estimate import Estimate, plain
 from omad.estimation.world import in_world, known_gravity
 from omad.objects.category import Category
 from omad.output.formats import files_of_answer, save_formats
@@ -61,8 +61,8 @@ class TrackedSequence:
     refused: list[dict[str, str]] = field(default_factory=list)
     seconds: list[float] = field(default_factory=list)
     page: TrackPage = field(default_factory=TrackPage)
-    last: tuple[Observation, TrackedEstimate] | None = None
-    """The last frame that was followed."""
+    last: tuple[Estimate, Observation, np.ndarray | None] | None = None
+    """Of the last frame that was followed, with ``T_world_camera`` where that is known."""
     began: bool = False
     """A frame could be read."""
     lines: TextIO | None = None
@@ -90,11 +90,11 @@ class TrackedSequence:
             if T_world_camera is not None and tracked.estimate is not None:
                 record["world"] = in_world(tracked.estimate, T_world_camera)
             self._write(record)
+            if observation is not None and tracked.status == "tracking" and tracked.estimate is not None:
+                self.last = tracked.estimate, observation, T_world_camera
             self._draw(frame, observation, tracked)
 
     def _draw(self, frame: FrameFile, observation: Observation | None, tracked: TrackedEstimate) -> None:
-        if observation is not None and tracked.status == "tracking":
-            self.last = observation, tracked
         self.page.add(frame.path.name, observation, tracked)
         if self.film is not None:
             self.film.add(observation, tracked)
@@ -154,8 +154,9 @@ class TrackedSequence:
             save(states_over_time(category, self.tracked, true), folder / "states.png")
             write_atomic(folder / "states.csv", lambda path: self._table(path, category))
         self.page.save(folder / "track.html", f"{category.name}: {len(self.tracked)} frames")
-        if self.last is not None and self.last[1].estimate is not None:
-            save_formats(self.last[1].estimate, self.last[0], folder / LAST, self.formats)
+        if self.last is not None:
+            estimate, observation, T_world_camera = self.last
+            save_formats(estimate, observation, folder / LAST, self.formats, T_world_camera)
         if (film := self.film) is not None and film.pictures:
             lasting = self.tracked[-1].time - self.tracked[0].time
             write_atomic(folder / "track.gif", lambda path: film.save(path, lasting))
