@@ -68,6 +68,15 @@ def test_every_kind_of_missing_measurement_is_left_out() -> None:
     assert not seen.depth[10, 20:25].any()
 
 
+def test_what_masked_arrays_hide_is_left_out() -> None:
+    near = np.arange(400).reshape(20, 20) < 200
+    hidden = np.ma.array(np.ones((20, 20), np.float32), mask=~near)
+    for depth, mask in ((hidden, None), (np.ones((20, 20)), np.ma.array(np.ones((20, 20), np.uint8), mask=~near))):
+        assert np.array_equal(Observation.from_depth(depth, K, mask).mask, near)
+    cloud = np.ma.array(np.ones((400, 3)), mask=np.repeat(~near.reshape(400, 1), 3, 1))
+    assert len(Observation.from_points(cloud).points) == 200
+
+
 def test_mask_and_box_combine_and_boxes_are_half_open() -> None:
     box = Observation.from_depth(bump(), K, box=(20, 10, 30, 16))
     assert box.pixels is not None

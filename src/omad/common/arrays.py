@@ -18,7 +18,10 @@ Identity = dict[str, str]
 
 
 def as_numpy(values: Any) -> np.ndarray:
-    """NumPy array of anything array-like; a tensor may be on any device and have a gradient."""
+    """NumPy array of anything array-like; a tensor may be on any device and have a gradient. What a masked array hides
+    is NaN, or zero where its kind has none."""
+    if isinstance(values, np.ma.MaskedArray):
+        return values.filled(np.nan if values.dtype.kind == "f" else 0)
     if not isinstance(values, Tensor):
         return np.asarray(values)
     values = values.detach().cpu()
