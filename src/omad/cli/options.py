@@ -144,8 +144,9 @@ class Views:
     """The views to measure on."""
 
     source: str = "procedural"
-    """procedural, unusual (its odd members), mirrored (of the other hand), a folder of models, an ArtImage root (its
-    test split), or what ``omad render`` made: its folder, or with --cluster its address."""
+    """procedural, unusual (its odd members), mirrored (of the other hand), a generator of your own (.py), a folder of
+    models, an ArtImage root (its test split), or what ``omad render`` made: its folder, or with --cluster its
+    address."""
     objects: int = 20
     """Procedural objects a category."""
     views: int = 200

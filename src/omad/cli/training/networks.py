@@ -312,7 +312,8 @@ class TrainConfidence(CategoryCommand):
     images. Writes confidence.json into the checkpoint folder, in place of what is there."""
 
     source: str = "procedural"
-    """procedural, or a folder of URDF / PartNet-Mobility models; best of such that the network was not trained on."""
+    """procedural, a generator of your own (.py), or a folder of URDF / PartNet-Mobility models; best of such that the
+    network was not trained on."""
     objects: int = 1000
     """Procedural objects."""
     views: int = 2000
