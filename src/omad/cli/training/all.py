@@ -21,6 +21,7 @@ from .schedule import ScheduleOptions
 
 with lazy_imports():
     from omad.estimation.confidence import model as confidences
+    from omad.evaluation.confidence import fitting
     from omad.model.checkpoint import is_checkpoint
     from omad.model.surfaces import bank
     from omad.training.processes import Processes
@@ -47,7 +48,7 @@ class TrainAll:
     objects: int = 1000
     """Procedural objects a category."""
     views: int = 200
-    """To measure on; ten times as many serve to learn the confidence from."""
+    """To measure on; ten times as many, at least 400, serve to learn the confidence from."""
     steps: int | None = None
     """At most so many of each training; default: as many as the time allows."""
     batch: int = 64
@@ -82,11 +83,12 @@ class TrainAll:
         last: dict[str, Any] = net | {"refinement_loss": 6.0, "initial": str(first)}
         last |= {"schedule": self._within(LAST, replace(longer, learning_rate=1e-3))}
         made |= {"weights": home, "threads": self.threads}
+        confident = max(10 * self.views, 2 * fitting.FEWEST)  # as a part of them shows other things, or too little
         stages = (
             (lambda: is_checkpoint(priors), TrainPrior(**prior, output=priors)),
             (lambda: is_checkpoint(first), TrainNet(**start, output=first)),
             (lambda: is_checkpoint(home), TrainNet(**last, output=home)),
-            ((home / confidences.FILE).is_file, TrainConfidence(**made, views=10 * self.views, seed=self.seed)),
+            ((home / confidences.FILE).is_file, TrainConfidence(**made, views=confident, seed=self.seed)),
             ((home / bank.FILE).is_file, TrainSurface(**made, views=self.views, device=device)),
         )
         for done, stage in stages:
