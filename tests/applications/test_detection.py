@@ -210,3 +210,14 @@ def test_what_an_observation_shows_is_found_as_what_its_depth_image_shows() -> N
     assert [found.probabilities for found in one] == [found.probabilities for found in same]
     with pytest.raises(omad.InputError):
         omad.detect(drawn.depth)
+
+
+@pytest.mark.parametrize("index", [2, 3])
+def test_of_an_object_that_was_cut_out_already_no_plane_is_taken_away(index: int) -> None:
+    """Its lid or base is one; what is left of it looks like a laptop, too, but open otherwise."""
+    laptop = get_category("laptop")
+    view = standard_view(generate(laptop, index, "test"), laptop, (7, index), ON)
+    [found] = omad.detect(view.observation(), categories="laptop")
+    assert found.estimate is not None
+    assert found.estimate.joint_states == pytest.approx(view.states, abs=0.1)
+    assert len(found.observation.points) > 0.95 * len(view.observation().points)

@@ -154,11 +154,11 @@ class Detector:
         found = things_before_planes(frame.points, LEAST)
         seen = [frame.part(thing) for thing in _of_box(found.clusters, inside)]
         judged = self._judged(seen, found.planes)
-        if measured_margin(frame) < TOUCHED and not any(one.category for one in judged):
-            # cut out already, perhaps: then the planes were an object's own
+        if measured_margin(frame) < TOUCHED and len(found.planes):
+            # cut out already, perhaps: then the planes were an object's own, and what is left of it looks like another
             seen = [frame.part(thing) for thing in _of_box(things_alone(frame.points, LEAST), inside)]
             alone = self._judged(seen, np.zeros((0, 4)))
-            if any(one.category for one in alone):
+            if _surest(alone) > _surest(judged):
                 judged, found = alone, replace(found, planes=found.planes[:0])
         flat = tuple(e.category.name for e in self.estimators if _height(e) < CLEAR * found.lowest)
         doubts = (*angle_doubts(found.planes), *_unsupported(frame, found.planes, judged))
@@ -270,6 +270,11 @@ def _unsupported(frame: Observation, planes: np.ndarray, judged: Sequence[Detect
         yield f"no table, floor or wall was found; where there is one, {so}"
     elif share > MOST:
         yield f"a thing of none of the categories holds {share:.0%} of what the frame shows; if that is a table, {so}"
+
+
+def _surest(judged: Sequence[Detection]) -> float:
+    """How likely the likeliest object is."""
+    return max((one.probability for one in judged if one.category), default=0.0)
 
 
 def _of_box(things: Sequence[np.ndarray], inside: np.ndarray | None) -> list[np.ndarray]:
