@@ -244,6 +244,20 @@ def test_a_crash_while_writing_leaves_the_old_index(tmp_path, monkeypatch):
     assert len(ShapeIndex.load(path)) == 40
 
 
+def test_no_file_is_written_over_but_an_index(tmp_path):
+    path = tmp_path / "depth.npz"
+    np.savez(path, depth=np.ones((2, 2)))
+    before = path.read_bytes()
+    for place in (path, tmp_path):
+        with pytest.raises(InputError, match="no file of an index"):
+            filled()[0].save(place)
+    assert path.read_bytes() == before
+    path.write_bytes(b"")  # as tempfile makes one
+    for _ in range(2):
+        filled()[0].save(path)
+    assert len(ShapeIndex.load(path)) == 40
+
+
 def test_foreign_and_damaged_files_are_named(tmp_path):
     path = tmp_path / "index.npz"
     with pytest.raises(InputError, match=r"index\.npz: "):

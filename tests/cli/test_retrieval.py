@@ -141,6 +141,9 @@ def test_bad_input_is_one_line(capsys):
     assert "bad.npz: " in refused(capsys, *query, *K, "--index", "bad.npz")
     assert "--objects 0" in refused(capsys, "index", "build", *OF_LAPTOP, "--output", "x.npz", "--objects", "0")
     assert "nowhere" in refused(capsys, "index", "build", *OF_LAPTOP, "--output", "x.npz", "--source", "nowhere")
+    before = Path("q.png").read_bytes()
+    assert "q.png: " in refused(capsys, "index", "build", *OF_LAPTOP, "--output", "q.png", "--objects", "1")
+    assert Path("q.png").read_bytes() == before
 
 
 @pytest.mark.slow

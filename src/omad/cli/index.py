@@ -31,7 +31,7 @@ from .options import (
 
 with lazy_imports():
     from omad.applications.retrieval import catalogue
-    from omad.applications.retrieval.index import Hit
+    from omad.applications.retrieval.index import Hit, check_place
     from omad.applications.retrieval.large.large_index import LargeIndex, open_index
     from omad.applications.retrieval.large.parts import Portion
     from omad.applications.retrieval.large.stream import portions_of_inputs, portions_of_models
@@ -89,6 +89,7 @@ class IndexBuild(CategoryCommand):
         space = Space.of(estimator.net.prior, estimator.category, self.metric)
         if self.backend == "disk":
             return self._on_disk(estimator, space)
+        check_place(self.output)  # rather now than after the work
         index = omad.ShapeIndex(space, self.backend)
         found = self._catalogued(estimator)
         if not found.entries:

@@ -9,13 +9,14 @@ from dataclasses import dataclass, replace
 from numbers import Integral
 from pathlib import Path
 from typing import Any, Literal, Self, get_args
+from zipfile import BadZipFile, ZipFile
 
 import numpy as np
 
 from omad.common.decode import Shape
 from omad.common.errors import InputError
-from omad.common.files import write_atomic
-from omad.common.incoming import check_seal, decoded, existing, parse_json, read_arrays, readable
+from omad.common.files import write_atomic, writing
+from omad.common.incoming import check_file, check_seal, decoded, existing, parse_json, read_arrays, readable
 from omad.common.limits import check_limit
 
 from .search import ExactSearch, GraphSearch, Neighbours
@@ -164,7 +165,9 @@ class ShapeIndex:
         return (np.asarray(betas, dtype=np.float64) @ self.space.factor.T).astype(np.float32)
 
     def save(self, path: str | Path) -> None:
-        """Write one file in place of what was there; a crash leaves the old one."""
+        """Write one file in place of the index that was there; a crash leaves the old one. Raises InputError where
+        something else is."""
+        check_place(path)
         if self.backend == "faiss":
             self.nearest(self.betas[:1], 1)  # builds the graph, if that is not done
         head = {name: getattr(self.space, name) for name in ("prior", "category", "metric")}
@@ -228,6 +231,23 @@ class ShapeIndex:
         if "graph" in arrays and head.sha256 is not None:
             index._search = GraphSearch.from_bytes(arrays["graph"])
         return index
+
+
+def check_place(path: str | Path) -> None:
+    """Raises InputError where something is that an index would take the place of, and that is none itself."""
+    path = Path(path)
+    with writing(path):
+        if path.exists() and path.stat().st_size and not _is_index(path):  # of an empty file nothing is lost
+            raise InputError(f"{path}: is there, and is no file of an index; choose another name, or delete it")
+
+
+def _is_index(path: Path) -> bool:
+    try:
+        check_file(path)
+        with ZipFile(path) as file:
+            return "head.npy" in file.namelist()
+    except (BadZipFile, OSError, InputError):
+        return False
 
 
 def whole(count: Any) -> int:
