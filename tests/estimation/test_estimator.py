@@ -150,6 +150,15 @@ def test_json_has_what_is_promised(estimator):
     assert {"joints", "T_camera_base"} <= set(answer["initial"])
 
 
+def test_a_urdf_in_a_folder_has_its_state_beside_it(estimator, tmp_path, monkeypatch):
+    estimate = estimator(observe(some_views(estimator, 1)[0]))
+    monkeypatch.chdir(tmp_path)
+    for folder in (Path("mine"), Path("of/two"), Path()):
+        estimate.save_urdf(folder)
+        assert {"model.urdf", "state.json"} <= {file.name for file in folder.iterdir()}
+    assert not Path("of/state.json").exists()
+
+
 def test_urdf_of_an_estimate_moves_as_the_estimate_says(estimator, tmp_path):
     estimate = estimator(observe(some_views(estimator, 1)[0]))
     estimate.save_urdf(tmp_path / "object.urdf")

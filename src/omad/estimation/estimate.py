@@ -312,12 +312,12 @@ class Estimate(PoseEstimate):
         return ObjectModel.of(self.category, name, parts, self.canonical_axes, self.canonical_pivots, limits)
 
     def save_urdf(self, path: str | Path) -> None:
-        """Write the object as URDF (canonical frame as root, zero = rest) and ``state.json`` beside it."""
-        path = Path(path)
-        write_urdf(self.object_model(path.stem), path)
+        """Write the object as URDF (canonical frame as root, zero = rest; a ``.urdf`` file, or ``model.urdf`` in a
+        folder) and ``state.json`` beside it, in place of that of an object saved there before: give each a folder."""
+        file = write_urdf(self.object_model(Path(path).stem or None), path)
         states = {joint.name: joint.state for joint in self.joints}
         state = plain({"joint_states": states, "T_camera_base": self.T_camera_base})
-        write_json(path.with_name("state.json"), state, indent=1)
+        write_json(file.with_name("state.json"), state, indent=1)
 
     def waypoints(
         self, part: str, point: Any, to_state: float, steps: int = 20, T_world_camera: Any = None
