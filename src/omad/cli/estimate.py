@@ -16,7 +16,7 @@ from tyro.conf import OmitArgPrefixes
 
 import omad
 from omad.common.errors import InputError, named
-from omad.common.files import replacing, write_json
+from omad.common.files import check_folder, replacing, write_json
 from omad.common.lazy import lazy_imports
 from omad.sensing.input_options import FrameOptions, InputOptions
 
@@ -90,6 +90,7 @@ class EstimateCommand(CategoryCommand):
 
     def run(self) -> Answer:
         check_positive(depth_scale=self.reading.depth_scale)
+        check_folder(self.output)
         check_formats(self.formats)
         files = input_files(self.inputs)
         one = len(self.inputs) == 1 and files[0] == self.inputs[0]
@@ -234,6 +235,7 @@ class Detect(CategoriesCommand):
 
     def run(self) -> Answer:
         check_positive(depth_scale=self.depth_scale)
+        check_folder(self.output)
         options = InputOptions(intrinsics=self.intrinsics, depth_scale=self.depth_scale)
         reader = replace(InputReader.of(options, [self.input]), whole=True)
         frame = reader(self.input)

@@ -11,7 +11,7 @@ from tyro.conf import OmitArgPrefixes, Positional
 
 import omad
 from omad.common.errors import InputError
-from omad.common.files import write_atomic
+from omad.common.files import check_folder, write_atomic
 from omad.common.lazy import lazy_imports
 from omad.sensing.input_options import InputOptions
 
@@ -212,6 +212,7 @@ class IndexQuery:
 
     def run(self) -> Answer:
         check_positive(count=self.count, depth_scale=self.reading.depth_scale)
+        check_folder(self.output)
         index, files = open_index(self.index), input_files(self.inputs)
         reader = InputReader.of(self.reading, files)
         estimator = omad.Estimator.from_pretrained(self.weights or index.space.category, self.device)

@@ -13,6 +13,7 @@ from tyro.conf import OmitArgPrefixes
 
 import omad
 from omad.common.errors import InputError
+from omad.common.files import check_folder
 from omad.common.lazy import lazy_imports
 
 from .answer import Answer
@@ -52,6 +53,7 @@ class Generate:
 
     def run(self) -> Answer:
         check_positive(objects=self.objects)
+        check_folder(self.output)
         category, files = omad.get_category(self.category), []
         for model in load_models(self.source, category, self.objects, self.split, self.seed).models:
             files.append(str(self.output / model.name / f"{model.name}.urdf"))
@@ -133,6 +135,7 @@ class Render:
 
     def run(self) -> Answer:
         check_positive(objects=self.objects, views=self.views)
+        check_folder(self.output)
         workers = check_workers(self.workers)
         if self.clutter and (self.depth_noise != "off" or self.layout != "omad"):
             raise InputError(

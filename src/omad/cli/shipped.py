@@ -8,7 +8,7 @@ from typing import Any
 
 import omad
 from omad.common.errors import InputError
-from omad.common.files import write_atomic
+from omad.common.files import check_folder, write_atomic
 from omad.common.lazy import lazy_imports
 from omad.objects.builtin import builtin_names
 
@@ -50,6 +50,7 @@ class Demo:
 
     def run(self) -> Answer:
         check_positive(objects=self.objects)
+        check_folder(self.output)
         one = self.weights or self.category
         names = [one] if one else shipped_categories()
         estimators = [omad.Estimator.from_pretrained(name, self.device) for name in names]
@@ -85,6 +86,7 @@ class Export:
     json: Json = False
 
     def run(self) -> Answer:
+        check_folder(self.output)
         source = find_weights(self.weights or self.category)
         net = load(OmadNet, source)
         check_category("--weights", self.weights, net.category, self.category)

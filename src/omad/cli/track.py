@@ -9,7 +9,7 @@ from typing import Any, Literal
 from tyro.conf import OmitArgPrefixes, Positional
 
 from omad.common.errors import InputError
-from omad.common.files import replacing
+from omad.common.files import check_folder, replacing
 from omad.common.lazy import lazy_imports
 from omad.sensing.input_options import FrameOptions, InputOptions
 
@@ -99,6 +99,7 @@ class Track(CategoryCommand):
 
     def run(self) -> Answer:
         check_positive(depth_scale=self.reading.depth_scale, fps=self.fps, most=self.most)
+        check_folder(self.output)
         check_formats(self.formats)
         stream = self.frames == STREAM
         places = None if self.world is None else CameraPlaces(self.world)

@@ -17,7 +17,7 @@ TEMPORARY = ".omad-"
 """What names of unfinished files begin with."""
 NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG)
 """What goes wrong with a disk, not with a path."""
-FILES = (".png", ".jpg", ".html", ".json", ".csv", ".npz", ".glb", ".ply", ".zip")
+FILES = (".png", ".jpg", ".html", ".json", ".csv", ".npy", ".npz", ".urdf", ".glb", ".ply", ".zip")
 """What no folder's name ends with."""
 
 
@@ -118,10 +118,18 @@ def _state(file: Path) -> tuple[int, ...] | None:
     return found.st_ino, found.st_mtime_ns, found.st_size
 
 
+def check_folder(path: str | Path) -> None:
+    """Raises InputError where a folder is to be written and a file must be meant, or is there."""
+    path = Path(path)
+    if path.suffix.lower() in FILES and not path.is_dir():
+        raise InputError(f"{path}: is the name of a file, where a folder is written; leave out {path.suffix}")
+    if path.is_file():
+        raise InputError(f"{path}: is a file, where a folder is written; choose another name")
+
+
 def make_folder(path: str | Path) -> None:
     """Create a folder and those above it. Raises InputError where that cannot be, and where a file must be meant."""
-    if Path(path).suffix.lower() in FILES and not Path(path).is_dir():
-        raise InputError(f"{path}: is the name of a file, where a folder is written; leave out {Path(path).suffix}")
+    check_folder(path)
     try:
         Path(path).mkdir(parents=True, exist_ok=True)
     except OSError as error:
