@@ -149,6 +149,8 @@ def test_estimates_print_as_one_line_that_tells_the_joints():
         assert len(repr(value)) < 200
     with pytest.raises(InputError, match=r"give omad.show\(observation, estimate\)"):
         show(estimate, observation)
+    with pytest.raises(InputError, match=r"estimate\.xyz: .*\.png"):
+        show(observation, estimate, "estimate.xyz")
 
 
 def test_masks_may_be_jpeg(tmp_path, monkeypatch, capsys):

@@ -145,7 +145,7 @@ def blank_panels(
 
 def show(observation: Observation, estimate: Estimate, path: str | Path | None = None) -> Figure:
     """Draw an estimate; write it to ``path`` (PNG) where one is given, and return the figure (notebooks display it).
-    Raises InputError where an estimate comes first."""
+    Raises InputError where an estimate comes first, and for a path that is no picture's or cannot be written."""
     if isinstance(observation, Estimate):
         raise InputError("show: was given the estimate first; give omad.show(observation, estimate)")
     fig = figure(observation, estimate)
@@ -155,9 +155,11 @@ def show(observation: Observation, estimate: Estimate, path: str | Path | None =
 
 
 def save(fig: Figure, path: str | Path) -> None:
-    """Write a PNG, or what the name's extension says."""
+    """Write a PNG, or what the name's extension says. Raises InputError for one of no picture."""
     plain_texts(fig)
-    kind = Path(path).suffix[1:] or "png"  # without, Matplotlib would choose another name
+    kind = Path(path).suffix[1:].lower() or "png"  # without, Matplotlib would choose another name
+    if kind not in fig.canvas.get_supported_filetypes():
+        raise InputError(f"{path}: no picture is written as .{kind}; give a name that ends in .png, .pdf or .svg")
     write_atomic(path, lambda temporary: fig.savefig(temporary, dpi=DPI, format=kind))
 
 
