@@ -1,6 +1,8 @@
 """Many images: the answers of single calls, in order, in bounded memory, from every source, in spite of bad ones."""
 
 import json
+import os
+import shutil
 import sys
 from dataclasses import replace
 from functools import cache
@@ -159,6 +161,47 @@ def test_folders_and_stacks_give_what_single_images_give(stored):
     assert [frame.name for frame in several.after(7)] == names[7:]
 
 
+def test_nothing_in_a_folder_is_passed_over(stored, monkeypatch):
+    """Neither a link whose file is missing, nor one that is called by no text, nor a folder that is not to be read."""
+    (stored / "depth" / "gone.png").symlink_to(stored / "none.png")
+    os.rename(stored / "depth" / "5.png", os.fsencode(stored / "depth") + b"/z\xff.png")
+    *_, gone, odd = outcomes_of(open_sources([stored / "depth"], READING))
+    assert "gone.png: no such file" in (gone.refused or "")
+    assert (Path(odd.name).name, odd.refused) == (r"z\xff.png", None)
+    json.dumps(odd.name).encode()
+    np.savez(stored / "sole.npz", depths())
+    assert open_sources([stored / "sole.npz"], READING).total == 6
+
+    def closed(folder):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(os, "scandir", closed)
+    with pytest.raises(InputError, match=r"depth: cannot be listed \(Permission denied\)"):
+        open_sources([stored / "depth"], READING)
+
+
+def test_images_of_one_name_in_several_folders_have_each_their_mask(stored):
+    for name in ("x", "y"):
+        for kind in ("depth", "mask"):
+            (stored / kind / name).mkdir()
+            os.rename(stored / kind / f"{'xy'.index(name)}.png", stored / kind / name / "a.png")
+    inputs, reading = [stored / "depth" / "x", stored / "depth" / "y"], replace(READING, mask=stored / "mask")
+    assert_same(outcomes_of(open_sources(inputs, reading)), masked=True)
+    os.rename(stored / "mask" / "x" / "a.png", stored / "mask" / "a.png")
+    for name in ("x", "y"):
+        shutil.rmtree(stored / "mask" / name)
+    with pytest.raises(InputError, match=r"has one mask for .*x/a.png and .*y/a.png; lay those of .*y into .*mask/y"):
+        open_sources(inputs, reading)
+
+
+def test_an_image_without_intrinsics_is_refused_alone(stored):
+    """Be it the first one."""
+    (stored / "depth" / "1.json").write_text('{"fx": 600, "fy": 600, "cx": 319.5, "cy": 239.5}')
+    first, second, *_ = outcomes_of(open_sources([stored / "depth"]))
+    assert "0.png: a depth image needs --intrinsics" in (first.refused or "")
+    assert second.refused is None
+
+
 def test_stacks_of_label_images_are_read_by_their_number(stored):
     np.save(stored / "labels.npy", np.where(masks(), 3, 7).astype(np.uint8))
     reading = replace(READING, mask=stored / "labels.npy", mask_id=3)
@@ -253,12 +296,14 @@ def test_the_number_of_an_object_needs_a_mask_in_every_row(stored):
         (["stack.npy"], "mask", "give a stack of masks"),
         (["stack.npy"], "few.npy", "that of its masks"),
         (["depth"], "masks.npy", "is a stack, but"),
+        (["one_mask.npz"], None, "that of its masks"),
         (["broken.parquet"], None, "not readable as Parquet"),
         (["other.parquet"], None, "no column depth"),
     ],
 )
 def test_what_cannot_be_read_at_all_is_said_at_once(stored, inputs, mask, reason):
     np.save(stored / "few.npy", masks()[:2])
+    np.savez(stored / "one_mask.npz", depth=depths(), mask=masks()[0])
     (stored / "empty").mkdir()
     if any(name.endswith(".parquet") for name in inputs):
         parquet, table = pytest.importorskip("pyarrow.parquet"), pytest.importorskip("pyarrow").table

@@ -80,6 +80,19 @@ def test_what_is_wrong_for_all_is_said_at_once(capsys):
     assert "piped.jsonl.part: is no file" in refused(capsys, *usual, "piped.jsonl")
 
 
+def test_a_full_disk_is_told_of_with_the_file(capsys):
+    resource = pytest.importorskip("resource")
+    save_png("views/a.png")
+    usual = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, usual[1]))  # less than a row
+    try:
+        assert run(["bulk", "views", *LAPTOP, *K, "--output", "out.jsonl"]) == 1
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, usual)
+    assert "out.jsonl.part: cannot be written (File too large)" in capsys.readouterr().err
+    assert answer(capsys, "bulk", "views", *LAPTOP, *K, "--output", "out.jsonl")["images"] == 1
+
+
 @pytest.mark.slow
 def test_a_killed_run_goes_on_where_it_was(capsys):
     np.save("stack.npy", np.stack([np.roll(laptop_view().depth, i, 0) for i in range(40)]))

@@ -73,7 +73,7 @@ def parse_stored(stored: bytes, key: str, name: str, mode: str | None = None) ->
     or the only one. Raises InputError."""
     if not stored.startswith(ARRAY_MAGIC):
         return read_image(stored, name, mode)
-    return _called(parse_arrays(stored, name), key, name)
+    return called(parse_arrays(stored, name), key, name)
 
 
 def in_metres(
@@ -84,6 +84,8 @@ def in_metres(
     if depth_scale is not None and not SCALES[0] <= depth_scale <= SCALES[1]:
         raise InputError(f"depth scale {depth_scale:g}: give metres per stored integer, 0.001 for millimetres")
     stored = stored[..., 0] if stored.ndim == 3 and stored.shape[2] == 1 else stored
+    if stored.ndim != 2 and stored.shape[-1:] not in ((3,), (4,)):
+        raise InputError(f"{stored.dtype} of shape {stored.shape} is no depth image; one has the shape (H, W)")
     if stored.ndim != 2 or stored.dtype == np.uint8:
         cure = "(8-bit or colour images hold too few depth steps); export 16-bit single-channel depth"
         raise InputError(f"{stored.dtype} of shape {stored.shape} is no depth image {cure}")
@@ -207,10 +209,11 @@ def _existing(path: str | Path, formats: tuple[str, ...], kind: str) -> Path:
 
 def read_array(path: Path, key: str) -> np.ndarray:
     """The array of an NPY, or of an NPZ the one called ``key`` or the only one."""
-    return _called(read_arrays(path, path.suffix[1:].upper()), key, path)
+    return called(read_arrays(path, path.suffix[1:].upper()), key, path)
 
 
-def _called(found: np.ndarray | dict[str, np.ndarray], key: str, name: str | Path) -> np.ndarray:
+def called(found: np.ndarray | dict[str, np.ndarray], key: str, name: str | Path) -> np.ndarray:
+    """Of the arrays of a file the one called ``key``, or the only one. Raises InputError; ``name``: of the file."""
     if isinstance(found, np.ndarray):
         return found
     if key not in found and len(found) != 1:

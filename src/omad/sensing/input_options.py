@@ -14,7 +14,8 @@ class InputOptions:
     tells of is undone."""
     mask: Path | None = None
     """Image or array, non-zero where the object is (of probabilities one half), or a COCO segmentation (JSON); or a
-    folder with a mask for each input, of the same name."""
+    folder with a mask for each input, of the same name: where inputs lie in several folders, in sub-folders called as
+    these."""
     mask_id: int | None = None
     """The object's number in a --mask that is a label image."""
     box: str | None = None

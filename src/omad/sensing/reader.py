@@ -1,7 +1,7 @@
 """Depth images and clouds given to a command, with the options that say how to read them."""
 
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -72,7 +72,7 @@ class InputReader:
     def of(cls, options: InputOptions, files: list[Path], frame: FrameOptions = NO_FRAME) -> Self:
         """Read what holds for all inputs. Raises InputError where that is wrong whatever the input, and where all of
         ``files`` need intrinsics and there are none."""
-        if options.intrinsics is None and files and not any(is_cloud(file) or _known(file) for file in files):
+        if options.intrinsics is None and files and not any(map(tells_camera, files)):
             _existing(files[0])
             raise InputError(f"{files[0]}: {NEED_INTRINSICS}")
         mask, box = options.mask, options.box
@@ -80,6 +80,8 @@ class InputReader:
         if frame.distortion is not None:
             parse_distortion(frame.distortion)
         masks = mask if mask is None or mask.is_dir() else read_mask(mask, options.mask_id)
+        if isinstance(masks, Path):
+            check_masks_apart(files, masks)
         corners = None if box is None else parse_numbers(box, 4, "--box")
         colour = _colour_camera(frame, mask is not None or box is not None or frame.color is not None)
         seen = None if frame.color is None else frame.color if frame.color.is_dir() else read_color(frame.color)
@@ -177,13 +179,34 @@ class InputReader:
         return seen.without_strays() if self.drop_flying else seen
 
 
-def _known(file: Path) -> bool:
-    """Whether a depth image's camera is told beside it."""
-    return file.is_file() and Beside.of(file).camera is not None
+def tells_camera(file: Path) -> bool:
+    """Whether an input needs no intrinsics: a cloud, or a depth image whose camera is told beside it."""
+    return is_cloud(file) or (file.is_file() and Beside.of(file).camera is not None)
+
+
+def check_masks_apart(files: Iterable[Path], masks: Path) -> None:
+    """Raises InputError where one mask of a folder would be that of inputs in several folders, by their name."""
+    folders: dict[tuple[Path, str], Path] = {}
+    for file in files:
+        other = folders.setdefault((_for_those_in(file.parent, masks), file.stem), file.parent)
+        if other != file.parent:
+            cure = f"lay those of {file.parent} into {masks / _name(file.parent)}"
+            raise InputError(f"--mask {masks}: has one mask for {other / file.name} and {file}; {cure}")
+
+
+def _for_those_in(folder: Path, masks: Path) -> Path:
+    """Where among ``masks`` those of a folder's inputs lie: in a sub-folder of its name, if there is one."""
+    own = masks / _name(folder)
+    return own if own.is_dir() else masks
+
+
+def _name(folder: Path) -> str:
+    return os.path.basename(os.path.abspath(folder))
 
 
 def _of_its_name(file: Path, folder: Path, what: str, formats: Sequence[str]) -> Path:
     """That with the input's name, whatever its extension."""
+    folder = _for_those_in(file.parent, folder)
     for suffix in formats:  # quicker than to list the folder, where it holds a million
         if (found := folder / (file.stem + suffix)).is_file():
             return found

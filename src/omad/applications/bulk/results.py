@@ -6,8 +6,8 @@ a second time meanwhile, is refused.
 """
 
 import json
-from collections.abc import Iterable
-from contextlib import closing
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any, Self
@@ -107,7 +107,7 @@ class Results:
         or was since this one began."""
         with writing(self.part):
             file = self.part.open("ab")
-        with closing(file):
+        with self._closing(file):
             self._lock(file)
             if file.tell() != self.size:
                 raise InputError(f"{self.part}: another run has added rows; run this one again")
@@ -123,7 +123,8 @@ class Results:
     def finish(self) -> None:
         """Give the file its name."""
         if self.path.suffix == LINES:
-            self.part.replace(self.path)
+            with writing(self.path):
+                self.part.replace(self.path)
         else:
             write_atomic(self.path, self._write_parquet)
             self.part.unlink(missing_ok=True)
@@ -145,6 +146,14 @@ class Results:
                 if count % batch == 0:
                     self.size, self.done, self.refused, self.last = place, count, refused, found["name"]
             file.truncate(self.size)
+
+    @contextmanager
+    def _closing(self, file: IO[bytes]) -> Iterator[None]:
+        try:
+            yield
+        finally:
+            with writing(self.part):  # what could not be written is tried again
+                file.close()
 
     def _lock(self, file: IO[bytes]) -> None:
         """As long as the part's ``file`` is open."""

@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice
@@ -13,10 +14,10 @@ from omad.common.errors import InputError
 from omad.common.incoming import address_of, map_array, read_arrays
 from omad.data.shards.store import Store
 from omad.sensing.beside import is_companion
-from omad.sensing.depth_files import in_metres
+from omad.sensing.depth_files import called, in_metres
 from omad.sensing.input_options import FrameOptions, InputOptions
 from omad.sensing.observation import Observation
-from omad.sensing.reader import KNOWN, InputReader
+from omad.sensing.reader import KNOWN, InputReader, check_masks_apart, tells_camera
 
 from .parquet_images import SUFFIX, ParquetImages
 from .stream import Frame
@@ -58,9 +59,16 @@ def open_sources(
     alone = reading if masks is None else replace(reading, mask=None)
     local = [path for path in inputs if path not in addresses]
     groups = {path: _listed(path) if path.is_dir() else _Group(path.parent, [path.name]) for path in local}
-    listed = (file for group in groups.values() for file in group.files())
-    first = next((file for file in listed if file.suffix.lower() != SUFFIX), None)
+
+    def images() -> Iterator[Path]:
+        return (file for group in groups.values() for file in group.files() if file.suffix.lower() != SUFFIX)
+
+    first = next(images(), None)
+    if reading.intrinsics is None:  # an image without them is refused alone, where others have theirs
+        first = next(filter(tells_camera, images()), first)
     reader = InputReader.of(alone, [] if first is None else [first], frame)
+    if isinstance(reader.mask, Path):
+        check_masks_apart(images(), reader.mask)
     sources: list[Source] = []
     for path in inputs:
         if path in addresses:
@@ -74,8 +82,8 @@ def open_sources(
         if masks is not None:
             raise InputError(f"--mask {reading.mask}: is a stack, but {path} none; give a mask or a folder of them")
         sources += [_parquet(file, reader) for file in group.files() if file.suffix.lower() == SUFFIX]
-        images = [name for name in group.names if Path(name).suffix.lower() != SUFFIX]
-        sources.append(_single(_Group(group.folder, images), reader))
+        single = [name for name in group.names if Path(name).suffix.lower() != SUFFIX]
+        sources.append(_single(_Group(group.folder, single), reader))
     return _chained(sources)
 
 
@@ -94,7 +102,8 @@ def _listed(folder: Path) -> _Group:
     """Files of a folder; where it has none, of its sub-folders, as ``omad render`` writes an object into each."""
     names = _names(folder)
     if not names:
-        within = sorted(entry.name for entry in os.scandir(folder) if entry.name[0] != "." and entry.is_dir())
+        with _entries(folder) as entries:
+            within = sorted(entry.name for entry in entries if entry.name[0] != "." and entry.is_dir())
         names = [f"{inner}/{name}" for inner in within for name in _names(folder / inner)]
     if not names:
         raise InputError(f"{folder}: no depth image, cloud or Parquet file in it; known: {' '.join(_LISTED)}")
@@ -102,9 +111,24 @@ def _listed(folder: Path) -> _Group:
 
 
 def _names(folder: Path) -> list[str]:
-    with os.scandir(folder) as entries:
+    """A link whose file is missing is one of them: it is refused in its place, not passed over."""
+    with _entries(folder) as entries:
         listed = (e for e in entries if e.name[0] != "." and e.name.lower().endswith(_LISTED))
-        return sorted(e.name for e in listed if not is_companion(Path(e.name)) and e.is_file())
+        return sorted(e.name for e in listed if not is_companion(Path(e.name)) and not e.is_dir())
+
+
+@contextmanager
+def _entries(folder: Path) -> Iterator[Iterator[os.DirEntry[str]]]:
+    try:
+        with os.scandir(folder) as entries:
+            yield entries
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be listed ({error.strerror}); make it readable, or leave it out") from error
+
+
+def _text(path: Path | str) -> str:
+    """A path as UTF-8, which results are; on Linux a name may hold any bytes."""
+    return os.fsencode(path).decode(errors="backslashreplace")
 
 
 def _at(address: str) -> list[str]:
@@ -119,18 +143,20 @@ def _at(address: str) -> list[str]:
 
 def _single(group: _Group, reader: InputReader) -> Source:
     def after(done: int) -> Iterator[Frame]:
-        return (Frame(str(file), partial(reader, file)) for file in islice(group.files(), done, None))
+        return (Frame(_text(file), partial(reader, file)) for file in islice(group.files(), done, None))
 
     return Source(len(group.names), after)
 
 
 def _stack_in(path: Path, key: str, named: bool = False) -> np.ndarray | None:
-    """Images (N, H, W) of an NPY, on disk, or those called ``key`` of an NPZ; None where a file is no stack. ``named``:
-    only of an NPZ."""
+    """Images (N, H, W) of an NPY, on disk, or those called ``key`` of an NPZ, or its only ones; None where a file is no
+    stack. ``named``: what an NPZ calls so, of whatever shape."""
     try:
         if path.suffix.lower() == ".npz":
             stored = read_arrays(path, "a stack of images")
-            found = stored.get(key) if isinstance(stored, dict) else None
+            if named:
+                return stored.get(key) if isinstance(stored, dict) else None
+            found = called(stored, key, path)
         elif path.suffix.lower() == ".npy" and not named:
             found = map_array(path)
         else:
@@ -155,7 +181,7 @@ def _stack(path: Path, depths: np.ndarray, masks: np.ndarray | None, reader: Inp
         return reader.observe(in_metres(np.asarray(depths[index]), reader.depth_scale), mask)
 
     def after(done: int) -> Iterator[Frame]:
-        return (Frame(f"{path}[{index}]", partial(load, index)) for index in range(done, len(depths)))
+        return (Frame(f"{_text(path)}[{index}]", partial(load, index)) for index in range(done, len(depths)))
 
     return Source(len(depths), after)
 
