@@ -208,6 +208,7 @@ def test_what_is_no_form_is_refused(service):
         assert service.ask("POST", "/estimate", form(fields()), {"Content-Type": kind}).status in (200, 400)
     twice = form(fields())[: -len("--a-boundary--\r\n")] + form({"category": b"laptop"})
     assert "twice" in service.ask("POST", "/estimate", twice, {"Content-Type": FORM}).record["error"]
+    assert b"ends before" in service.ask("POST", "/estimate", form(fields())[:-4], {"Content-Type": FORM}).body
     crowd = form({f"f{i}": b"" for i in range(2000)})
     assert service.ask("POST", "/estimate", crowd, {"Content-Type": FORM}).status == 400
     assert service.ask("GET", "/estimate").status == 405

@@ -24,6 +24,10 @@ class Gone(Exception):
 
 class _InMemory(MultiPartParser):
     spool_max_size = 2**62
+    ended = False
+
+    def on_end(self) -> None:
+        self.ended = True
 
 
 async def read_form(request: Request, most: int) -> dict[str, bytes]:
@@ -45,6 +49,8 @@ async def read_form(request: Request, most: int) -> dict[str, bytes]:
         raise InputError(f"the body is no form ({shown(one_line(error))}); send it anew") from error
     except ClientDisconnect as error:
         raise Gone from error
+    if not parser.ended:  # a field that was cut would seem not to have been sent
+        raise InputError("the body ends before its form does; send it anew")
     told: dict[str, bytes] = {}
     for name, value in form.multi_items():
         if name in told:
