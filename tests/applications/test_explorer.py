@@ -170,6 +170,8 @@ def test_a_port_in_use_is_refused():
             free_port("127.0.0.1", other.getsockname()[1])
     with pytest.raises(InputError, match="65535"):
         free_port("127.0.0.1", 70000)
+    with pytest.raises(InputError, match=r"192\.0\.2\.1: is not this machine's"):
+        free_port("192.0.2.1", 0)
 
 
 @pytest.mark.slow

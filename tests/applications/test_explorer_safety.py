@@ -1,10 +1,13 @@
 """Who may drive the explorer, which files it reads for them, and what it tells of them."""
 
+import contextlib
 import os
 import signal
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -13,6 +16,7 @@ from omad.applications.explorer.fitting import FitRequest
 from omad.applications.explorer.places import Places, plain_name
 from omad.cli.explore import free_port
 from omad.common.errors import InputError
+from omad.estimation.estimator import Estimator
 from omad.sensing.camera_files import read_camera, read_transform
 
 VISER = pytest.importorskip("viser", reason="needs viser: pip install 'omad[explore]'")
@@ -114,6 +118,23 @@ def test_errors_do_not_quote_what_is_in_a_file(files, name):
 )  # fmt: skip
 def test_uploads_are_called_by_plain_names(name, plain):
     assert plain_name(name) == plain
+
+
+def test_an_uploaded_image_does_not_replace_a_mask_of_its_name(monkeypatch):
+    """As a depth image and its mask are called in most data sets."""
+    from omad.applications.explorer.gate import start_server
+    from omad.applications.explorer.page import ExplorerPage
+
+    server, uploaded = start_server("127.0.0.1", free_port("127.0.0.1", 0), "OMAD"), dict[str, Callable]()
+    button = lambda label: SimpleNamespace(on_upload=lambda act: uploaded.update({label: act}))  # noqa: E731
+    monkeypatch.setattr(server.gui, "add_upload_button", button)
+    with contextlib.closing(ExplorerPage(server, Estimator.from_pretrained("laptop", "cpu"), 1, 0)) as page:
+        for label, content in (("Upload mask", b"a mask"), ("Upload a file and fit it", b"an image")):
+            file = SimpleNamespace(name="1.png", content=content)
+            uploaded[label](SimpleNamespace(client=None, target=SimpleNamespace(value=file)))
+        assert Path(page.mask.value).read_bytes() == b"a mask"
+        assert Path(page.path.value).read_bytes() == b"an image"
+    server.stop()
 
 
 @pytest.mark.slow

@@ -1,6 +1,7 @@
 """``omad explore``: a local page with sliders for shape and joints, and a depth file to fit."""
 
 import contextlib
+import errno
 import importlib.util
 import socket
 import sys
@@ -99,6 +100,8 @@ def free_port(host: str, port: int) -> int:
         except socket.gaierror as error:
             raise InputError(f"--host {host}: no such address; give 127.0.0.1, or 0.0.0.0 for all") from error
         except OSError as error:
+            if error.errno == errno.EADDRNOTAVAIL:
+                raise InputError(f"--host {host}: is not this machine's; give 127.0.0.1, or 0.0.0.0 for all") from error
             cure = "another program listens there; give another --port, or --port 0 for any free one"
             raise InputError(f"--host {host} --port {port}: {cure}") from error
         return trial.getsockname()[1]

@@ -95,16 +95,16 @@ class ExplorerPage:
         gui = self._server.gui
         hint = "fx,fy,cx,cy, or the path of a RealSense, Open3D, ROS or 3x3 file; not for clouds."
         self.intrinsics = gui.add_text("Intrinsics", "", hint=hint)
-        self._upload("Upload intrinsics", lambda path: setattr(self.intrinsics, "value", str(path)))
+        self._upload("Upload intrinsics", "intrinsics", lambda path: setattr(self.intrinsics, "value", str(path)))
         self.segment = gui.add_dropdown("Object is", (WHOLE_IMAGE, ON_PLANE), hint="Which pixels are the object's.")
         self.box = gui.add_text("Box", "", hint="x1,y1,x2,y2 in pixels around the object.")
         self.mask = gui.add_text("Mask", "", hint="Path of an image, non-zero where the object is.")
-        self._upload("Upload mask", lambda path: setattr(self.mask, "value", str(path)))
+        self._upload("Upload mask", "mask", lambda path: setattr(self.mask, "value", str(path)))
         hint = "Metres per stored number; empty: 0.001 for integers, else 1."
         self.scale = gui.add_text("Depth scale", "", hint=hint)
         self.path = gui.add_text("File", "", hint="Path of a depth image (PNG, TIFF, NPY) or a cloud (PLY, PCD, XYZ).")
         self._on_click("Fit this file", self._fit_path, "Estimate the object in it and set the sliders to it.")
-        self._upload("Upload a file and fit it", self._fit_upload)
+        self._upload("Upload a file and fit it", "depth", self._fit_upload)
         self._on_click("Fit an unseen procedural object", self._fit_demo, "No file needed.")
         self._on_click("Clear", self._clear_fit, "Take the cloud away.", "gray")
 
@@ -146,15 +146,17 @@ class ExplorerPage:
         button.on_click(lambda event: self._told(event.client, act))
         return button
 
-    def _upload(self, label: str, take: Callable[[Path], None]) -> None:
+    def _upload(self, label: str, kind: str, take: Callable[[Path], None]) -> None:
+        """Files of a ``kind`` lie apart: a depth image and its mask often have the same name."""
         button = self._server.gui.add_upload_button(label)
 
         def taken(event: viser.GuiEvent[viser.GuiUploadButtonHandle]) -> None:
             file = event.target.value
-            path = Path(self._uploads.name) / plain_name(file.name)
+            path = Path(self._uploads.name) / kind / plain_name(file.name)
 
             def keep() -> None:
                 with writing(path):
+                    path.parent.mkdir(exist_ok=True)
                     path.write_bytes(file.content)
                 take(path)
 
