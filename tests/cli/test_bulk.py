@@ -11,6 +11,7 @@ from PIL import Image
 
 from helpers.command_line import LAPTOP, K, answer, laptop_view, refused, save_png
 from helpers.warm import Command
+from omad.applications.bulk.results import Results
 from omad.cli.main import run
 
 
@@ -78,6 +79,20 @@ def test_what_is_wrong_for_all_is_said_at_once(capsys):
     assert "out.jsonl: is there already" in refused(capsys, *usual, "out.jsonl")
     os.mkfifo("piped.jsonl.part")
     assert "piped.jsonl.part: is no file" in refused(capsys, *usual, "piped.jsonl")
+
+
+def test_a_run_does_not_go_on_with_other_files(capsys, monkeypatch):
+    """Though they are as many, and the last one that is done is the same."""
+    for name in "abc":
+        save_png(f"views/{name}.png")
+    usual = ["bulk", "views", *LAPTOP, *K, "--batch", "1", "--output", "out.jsonl"]
+    with monkeypatch.context() as killed:
+        killed.setattr(Results, "finish", lambda _: None)
+        answer(capsys, *usual)
+    os.rename("views/a.png", "views/aa.png")
+    assert "other inputs or settings" in refused(capsys, *usual)
+    os.rename("views/aa.png", "views/a.png")
+    assert answer(capsys, *usual)["done_before"] == 3
 
 
 def test_a_full_disk_is_told_of_with_the_file(capsys):

@@ -1,5 +1,6 @@
 """Where many depth images come from: folders, stacks in one array, Parquet files; read as they are needed."""
 
+import hashlib
 import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -32,6 +33,8 @@ class Source:
     total: int
     after: Callable[[int], Iterator[Frame]]
     """Its frames without the first so many, which are not read."""
+    listed: str = ""
+    """A digest of what files were in folders: with others there, rows are of others."""
 
 
 def open_sources(
@@ -84,7 +87,8 @@ def open_sources(
         sources += [_parquet(file, reader) for file in group.files() if file.suffix.lower() == SUFFIX]
         single = [name for name in group.names if Path(name).suffix.lower() != SUFFIX]
         sources.append(_single(_Group(group.folder, single), reader))
-    return _chained(sources)
+    names = (os.fsencode(name) for group in groups.values() for name in group.names)
+    return _chained(sources, hashlib.sha256(b"\0".join(names)).hexdigest())
 
 
 @dataclass(frozen=True)
@@ -191,11 +195,11 @@ def _parquet(path: Path | str, reader: InputReader) -> Source:
     return Source(images.total, images.after)
 
 
-def _chained(sources: Sequence[Source]) -> Source:
+def _chained(sources: Sequence[Source], listed: str) -> Source:
     def after(done: int) -> Iterator[Frame]:
         for source in sources:
             if done < source.total:
                 yield from source.after(done)
             done = max(done - source.total, 0)
 
-    return Source(sum(source.total for source in sources), after)
+    return Source(sum(source.total for source in sources), after, listed)
