@@ -60,6 +60,8 @@ class Asked:
         for name, what in (("depth", "a depth image's file"), ("intrinsics", "fx,fy,cx,cy or a camera's file")):
             if not told.get(name):
                 raise InputError(f"{name}: is missing; give {what}")
+        if told.get("mask") == b"":
+            raise InputError("mask: is an empty file; send a mask, or leave it out")
         texts = {name: _text(name, value) for name, value in told.items() if name not in ("depth", "mask")}
         read: dict[str, Any] = {name: texts[name] for name in ("intrinsics", "category") if name in texts}
         for name, among in (("segment", SEGMENTS), ("checks", CHECKS), ("format", FORMATS)):
@@ -72,9 +74,9 @@ class Asked:
         for name, kind in (("mask_id", int), ("depth_scale", float)):
             if name in texts:
                 read[name] = _number(name, texts[name], kind)
-        if "mask_id" in read and not told.get("mask"):
+        if "mask_id" in read and "mask" not in told:
             raise InputError(f"mask_id {read['mask_id']}: tells one of a mask's objects; give mask, or leave it out")
-        return cls(told["depth"], mask=told.get("mask") or None, **read)
+        return cls(told["depth"], mask=told.get("mask"), **read)
 
     def observation(self, find: Find) -> Observation:
         """The object's points; ``find`` cuts it out where nothing tells which it is. Raises InputError."""
