@@ -155,6 +155,7 @@ def test_a_cloud_has_no_box() -> None:
     detector = Detector([])
     assert len(detector(cloud)) == len(answers(0))
     assert all(found.category is None and found.probability == 1 for found in detector(cloud))
+    assert [one.category for one in omad.detect(cloud, categories=NAMES)] == [one.category for one in answers(0)]
     with pytest.raises(omad.InputError, match="depth image"):
         detector(cloud, (0, 0, 5, 5))
 

@@ -158,7 +158,7 @@ class Detector:
             # cut out already, perhaps: then the planes were an object's own, and what is left of it looks like another
             seen = [frame.part(thing) for thing in _of_box(things_alone(frame.points, LEAST), inside)]
             alone = self._judged(seen, np.zeros((0, 4)))
-            if _surest(alone) > _surest(judged):
+            if (_shown(alone) > _shown(judged)).all():
                 judged, found = alone, replace(found, planes=found.planes[:0])
         flat = tuple(e.category.name for e in self.estimators if _height(e) < CLEAR * found.lowest)
         doubts = (*angle_doubts(found.planes), *_unsupported(frame, found.planes, judged))
@@ -272,9 +272,11 @@ def _unsupported(frame: Observation, planes: np.ndarray, judged: Sequence[Detect
         yield f"a thing of none of the categories holds {share:.0%} of what the frame shows; if that is a table, {so}"
 
 
-def _surest(judged: Sequence[Detection]) -> float:
-    """How likely the likeliest object is."""
-    return max((one.probability for one in judged if one.category), default=0.0)
+def _shown(judged: Sequence[Detection]) -> np.ndarray:
+    """(2,) how likely the likeliest object is, and how many points all objects have."""
+    objects = [one for one in judged if one.category]
+    sure = max((one.probability for one in objects), default=0.0)
+    return np.array([sure, sum(len(one.observation.points) for one in objects)])
 
 
 def _of_box(things: Sequence[np.ndarray], inside: np.ndarray | None) -> list[np.ndarray]:
