@@ -88,6 +88,16 @@ def test_a_scale_beside_an_image_is_of_its_integers():
         assert reader(Path(name)).points[:, 2] == pytest.approx(1.0)
 
 
+def test_a_mask_in_the_file_of_the_depth_image_counts():
+    depth, mask = np.full((48, 64), 0.9, np.float32), np.zeros((48, 64), bool)
+    mask[10:30, 20:40] = True
+    np.savez("view.npz", depth=depth, mask=mask)
+    options = InputOptions(intrinsics="60,60,31.5,23.5")
+    assert len(InputReader.of(options, [Path("view.npz")])(Path("view.npz")).points) == mask.sum()
+    boxed = InputReader.of(InputOptions(intrinsics="60,60,31.5,23.5", box="0,0,48,48"), [Path("view.npz")])
+    assert len(boxed(Path("view.npz")).points) > mask.sum()  # what is asked for goes before
+
+
 def test_of_a_label_image_beside_one_the_object_is_named():
     save_png("depth.png")
     labels = np.zeros((480, 640), dtype=np.uint8)

@@ -184,6 +184,11 @@ def is_cloud(path: str | Path) -> bool:
     return columns == 3 if len(shape) == 3 else 3 <= columns < 10  # no depth image is so narrow
 
 
+def holds_mask(depth: Path) -> bool:
+    """Whether a depth image's file has its mask in it: an NPZ with ``depth`` and ``mask``."""
+    return depth.suffix.lower() == ".npz" and "mask" in array_shapes(depth)
+
+
 def read_cloud(path: str | Path) -> np.ndarray:
     """Points (N, 3) float64 in the file's own unit from PLY, PCD, XYZ or text, NPY or NPZ (array ``points``). Rows that
     are not finite are kept (an observation drops them). Further columns (colours, normals) are ignored. Raises

@@ -22,6 +22,7 @@ from .depth_files import (
     DEPTH_FORMATS,
     MASK_FORMATS,
     MILLIMETRES,
+    holds_mask,
     is_cloud,
     read_cloud,
     read_color,
@@ -118,8 +119,9 @@ class InputReader:
         if isinstance(self.mask, Path):
             return read_mask(_of_its_name(file, self.mask, "mask", MASK_FORMATS), self.mask_id)
         told = self.whole or self.mask is not None or self.box is not None or self.segment is not None
-        if not told and beside.mask is not None:
-            return read_mask(beside.mask, self.mask_id)
+        own = beside.mask or (file if holds_mask(file) else None)
+        if not told and own is not None:
+            return read_mask(own, self.mask_id)
         self.check_mask_id()
         return self.mask
 
