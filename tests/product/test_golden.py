@@ -26,7 +26,7 @@ DATA = Path(__file__).parents[1] / "golden"
 LIMITS = {
     "cabinet_one_door": (1.4, 0.85, 0.024),
     "cabinet_two_doors": (2.7, 1.2, 0.019),
-    "desk_lamp": (2.9, 1.25, 0.024),
+    "desk_lamp": (2.9, 1.25, 0.023),
     "dishwasher": (1.8, 0.75, 0.041),
     "drawer": (0.05, 1.05, None),
     "drawer_1": (0.04, 1.0, None),
@@ -34,21 +34,21 @@ LIMITS = {
     "drawer_4": (0.055, 0.8, None),
     "drawer_5": (0.061, 0.95, None),
     "eyeglasses": (2.7, 2.55, 0.015),
-    "laptop": (1.2, 0.7, 0.025),
+    "laptop": (0.95, 0.55, 0.025),
     "lidded_box": (2.1, 1.1, 0.025),
     "microwave": (1.2, 0.95, 0.028),
     "oven": (1.8, 1.1, 0.042),
     "pliers": (1.9, 0.9, 0.019),
-    "refrigerator": (1.9, 1.1, 0.023),
+    "refrigerator": (1.35, 0.9, 0.023),
     "refrigerator_two_doors": (2.4, 0.75, 0.014),
-    "safe": (2.0, 1.1, 0.034),
-    "scissors": (3.4, 1.6, 0.015),
+    "safe": (1.4, 0.75, 0.027),
+    "scissors": (2.4, 1.6, 0.015),
     "stapler": (2.2, 0.95, 0.068),
-    "suitcase": (3.2, 1.0, 0.026),
-    "trash_can": (2.5, 3.2, 0.041),
+    "suitcase": (3.2, 1.0, 0.015),
+    "trash_can": (2.3, 3.2, 0.038),
     "washing_machine": (2.3, 1.4, 0.028),
 }
-PASSED_OVER = {"cabinet_one_door": 9, "desk_lamp": 4, "drawer_5": 5}
+PASSED_OVER = {"cabinet_one_door": 9, "desk_lamp": 3, "drawer_5": 5}
 """Of 24 answers, at most so many are doubtful, or take the object for one of the other hand; 1 of other categories. Of
 these at most ``DOUBTED_IN_VAIN`` are right. Of cabinets with one door there are 200, as two shut doors among 24 decide
 how far axes are off, 48 of staplers, whose magazine has no visible hinge, and of desk lamps, whose head is small, 40 of
