@@ -227,7 +227,7 @@ def test_a_line_says_of_which_hand_the_shape_is(stapler):
 
 def test_the_first_frame_tells_the_shape_and_a_door_that_shuts_keeps_its_hinges():
     category = get_category("refrigerator")
-    model, tracker = generate(category, 12, "test"), omad.Tracker(omad.Estimator.from_pretrained("refrigerator", "cpu"))
+    model, tracker = generate(category, 13, "test"), omad.Tracker(omad.Estimator.from_pretrained("refrigerator", "cpu"))
     views = [standard_view(model, category, (2, 5), states=np.array([s])).observation() for s in (0.9, 0.9, 0.45, 0.0)]
     first, *_, shut = (tracker(view, time / 2) for time, view in enumerate(views))
     np.testing.assert_allclose(first.estimate.keypoints, first.single.keypoints, atol=1e-3)
