@@ -360,19 +360,6 @@ def test_outputs_that_cannot_be_written(command, output, capsys):
     assert Path("mine").read_text() == "keep me"
 
 
-@pytest.mark.parametrize(
-    "command",
-    [
-        *["figure keypoints --categories laptop", "train prior --category laptop", "detect d.npy", "demo"],
-        *["estimate d.npy --category laptop", "index query d.npy --index i.npz", "generate --category laptop"],
-        *["render --category laptop", "export --category laptop", "track d --category laptop"],
-    ],
-)
-def test_a_file_name_for_a_folder_of_output_is_refused(command, capsys):
-    assert "picture.png: is the name" in refused(capsys, *command.split(), "--output", "picture.png")
-    assert not Path("picture.png").exists()
-
-
 def test_a_source_whose_name_no_file_can_have_is_refused(capsys):
     name = 300 * "x"
     assert name[:20] in refused(capsys, "index", "build", *LAPTOP, "--source", name, "--output", "i.npz")

@@ -3,10 +3,11 @@
 import re
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
-from helpers.command_line import LAPTOP
+from helpers.command_line import LAPTOP, refused
 from omad import __version__
 from omad.cli.main import COMMANDS, Group, run
 
@@ -49,6 +50,20 @@ def test_wrong_usage_exits_with_two(arguments, capsys):
         run(arguments)
     assert stop.value.code == 2
     assert capsys.readouterr().out == ""
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        *["figure keypoints --categories laptop", "train prior --category laptop", "detect d.npy", "demo"],
+        *["estimate d.npy --category laptop", "index query d.npy --index i.npz", "generate --category laptop"],
+        *["render --category laptop", "export --category laptop", "track d --category laptop"],
+    ],
+)
+def test_a_file_name_for_a_folder_of_output_is_refused(command, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert "picture.png: is the name" in refused(capsys, *command.split(), "--output", "picture.png")
+    assert not Path("picture.png").exists()
 
 
 @pytest.mark.parametrize("command", ["", *ALL])

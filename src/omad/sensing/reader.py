@@ -119,8 +119,7 @@ class InputReader:
         if isinstance(self.mask, Path):
             return read_mask(_of_its_name(file, self.mask, "mask", MASK_FORMATS), self.mask_id)
         told = self.whole or self.mask is not None or self.box is not None or self.segment is not None
-        own = beside.mask or (file if holds_mask(file) else None)
-        if not told and own is not None:
+        if not told and (own := beside.mask or (file if holds_mask(file) else None)):
             return read_mask(own, self.mask_id)
         self.check_mask_id()
         return self.mask
