@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,6 +12,8 @@ from PIL import Image
 from scipy import ndimage
 
 from helpers.categories import CATEGORIES
+from omad.applications.cluster import render as cluster_render
+from omad.applications.cluster.render import RenderWork
 from omad.common.errors import InputError
 from omad.data.procedural import generate
 from omad.data.rendering import view_folder
@@ -35,7 +38,6 @@ from omad.data.rendering.standard_views import MIN_PIXELS, standard_view
 from omad.data.rendering.view_folder import open_views, render_to_folder
 from omad.geometry.camera import STANDARD_CAMERA
 from omad.objects.model import ObjectModel
-from omad.sensing.depth_files import read_depth
 
 NAMES = ("laptop", "eyeglasses", "dishwasher")
 AS_IT_IS = Staging()
@@ -240,13 +242,17 @@ def test_random_spoils_show_the_object_and_repeat() -> None:
     assert len({random_spoil(rng(seed)) for seed in range(30)}) == 30
 
 
-def test_instances_are_nothing_where_a_wall_is_too_far_for_the_file(tmp_path: Path, monkeypatch) -> None:
-    monkeypatch.setattr(view_folder, "depth_scale_of", lambda category: 1.5e-5)  # a metre
+def test_labels_and_instances_are_nothing_where_it_is_too_far_for_the_file(tmp_path: Path, monkeypatch) -> None:
+    for writer in (view_folder, cluster_render):
+        monkeypatch.setattr(writer, "depth_scale_of", lambda category: 1.5e-5)  # a metre
     render_to_folder([model()], CATEGORIES["laptop"], tmp_path, 3, clutter=True)
-    files = sorted(tmp_path.glob("*/*.instances.png"))
-    for file in files:
-        depth = read_depth(file.with_name(file.name.replace("instances", "depth")), 1.0)
-        assert np.array_equal(np.asarray(Image.open(file)) == NOTHING, depth == 0)
+    rows = RenderWork("laptop", "procedural", 1, "test", 0, "off", clutter=True)(0, 3)
+    for number, (view, row) in enumerate(zip(open_views(tmp_path), rows, strict=True)):
+        instances = np.asarray(Image.open(tmp_path / view.object / f"{number:05d}.instances.png"))
+        assert np.array_equal(instances == NOTHING, view.depth == 0)
+        assert np.array_equal(view.labels == NOTHING, instances != OBJECT)
+        for name, image in (("labels", view.labels), ("instances", instances)):
+            assert np.array_equal(np.asarray(Image.open(io.BytesIO(row[name]))), image)
 
 
 def test_a_cluttered_folder_holds_the_same_views(tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ from typing import Any
 from omad.data.rendering.depth_noise import LEVELS
 from omad.data.rendering.spoils.spoiling import cluttered
 from omad.data.rendering.standard_views import standard_view, view_seed
+from omad.data.rendering.stored_images import where_stored
 from omad.data.rendering.view_folder import depth_scale_of
 from omad.data.shards.views import as_png, row_of, view_schema
 from omad.data.source import Split, load_models
@@ -40,7 +41,8 @@ class RenderWork:
             model, more = models[seed[1]], {}
             if self.clutter:
                 spoil, made = cluttered(model, category, seed)
-                view, more = made.view, {"instances": as_png(made.instances), "spoil": json.dumps(asdict(spoil))}
+                view, instances = made.view, where_stored(made.instances, made.view.depth, scale)
+                more = {"instances": as_png(instances), "spoil": json.dumps(asdict(spoil))}
             else:
                 view = standard_view(model, category, seed, LEVELS[self.noise])
             rows.append(row_of(view, scale) | more)

@@ -24,7 +24,8 @@ from omad.objects.urdf import urdf_numbers, xml_text
 
 from ..rendering.depth_noise import NoiseLevel
 from ..rendering.standard_views import View, ViewSeed, view_seed
-from ..rendering.view_folder import draw_missing, make_standard, refuse_others, write_depth, write_png
+from ..rendering.stored_images import write_depth, write_png
+from ..rendering.view_folder import draw_missing, make_standard, refuse_others
 from .layout import AGAIN, SPLITS, Layout, Split, depth_step, peculiarities, require_flat_tree
 
 FIRST_ID = {"train": 1_000_000, "test": 2_000_000}

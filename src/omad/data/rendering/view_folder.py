@@ -27,12 +27,11 @@ from typing import Annotated, Any
 
 import numpy as np
 import torch
-from PIL import Image
 from tqdm import tqdm
 
 from omad.common.decode import Shape, Within
 from omad.common.errors import InputError
-from omad.common.files import write_atomic, write_json
+from omad.common.files import write_json
 from omad.common.incoming import decoded, is_file, read_image, read_json, read_record
 from omad.common.limits import limits
 from omad.common.processes.workers import helpers
@@ -44,9 +43,9 @@ from omad.sensing.depth_files import read_depth
 
 from ..broken import Broken, passing_over
 from .depth_noise import NoiseLevel
-from .rasteriser import NOTHING
 from .spoils.spoiling import cluttered
 from .standard_views import ObjectTruth, View, ViewSeed, standard_view, view_seed
+from .stored_images import where_stored, write_depth, write_png
 
 FORMAT = "omad-views-1"
 REACH = 11.0
@@ -263,7 +262,7 @@ def _view_file(folder: Path, names: Sequence[str], seed: ViewSeed) -> Path:
 def _write_view(depth_scale: float, view: View, file: Path, **more: Any) -> None:
     """``more`` goes into the record."""
     write_depth(file.with_suffix(".depth.png"), view.depth, depth_scale)
-    write_png(file.with_suffix(".labels.png"), view.labels)
+    write_png(file.with_suffix(".labels.png"), where_stored(view.labels, view.depth, depth_scale))
     pose = {"states": view.states.tolist(), "T_camera_base": view.T_camera_base.tolist()}
     write_json(file, {**pose, "seed": view.seed, **more})
 
@@ -291,8 +290,7 @@ def _make_cluttered(
     file, view = file_of(seed), made.view
     if view.mask is not None:
         write_png(file.with_suffix(".mask.png"), view.mask.astype(np.uint8) * 255)
-    kept = as_stored(view.depth, depth_scale) > 0  # a wall may be too far for the file
-    write_png(file.with_suffix(".instances.png"), np.where(kept, made.instances, np.uint8(NOTHING)))
+    write_png(file.with_suffix(".instances.png"), where_stored(made.instances, view.depth, depth_scale))
     _write_view(depth_scale, view, file, camera=_camera_record(view.camera), spoil=asdict(spoil))
 
 
@@ -379,22 +377,3 @@ def _read_json(path: Path) -> dict[str, Any]:
     if not isinstance(record, dict):
         raise InputError(f"{path}: holds no table; {CURE}")
     return record
-
-
-def write_depth(path: Path, depth: np.ndarray, depth_scale: float) -> np.ndarray:
-    """Write depth (H, W) metres as 16-bit PNG -> the stored integers."""
-    stored = as_stored(depth, depth_scale)
-    write_png(path, stored)
-    return stored
-
-
-def as_stored(depth: np.ndarray, depth_scale: float) -> np.ndarray:
-    """(H, W) uint16 of depth (H, W) metres; what does not fit into 16 bits, of which the largest number says that there
-    is no measurement, is 0."""
-    stored = np.rint(depth / depth_scale)
-    return np.where(stored < 2**16 - 1, stored, 0).astype(np.uint16)
-
-
-def write_png(path: Path, image: np.ndarray) -> None:
-    """8 or 16 bit, whole or not at all."""
-    write_atomic(path, lambda temporary: Image.fromarray(image).save(temporary, "PNG", compress_level=1))

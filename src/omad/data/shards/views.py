@@ -26,7 +26,8 @@ from omad.objects.model import ObjectModel
 from omad.sensing.depth_files import parse_depth
 
 from ..rendering.standard_views import ObjectTruth, View
-from ..rendering.view_folder import ViewRecord, as_stored
+from ..rendering.stored_images import as_stored, where_stored
+from ..rendering.view_folder import ViewRecord
 from .parquet import RUN, import_pyarrow, part_name
 from .store import Store
 
@@ -85,7 +86,7 @@ def row_of(view: View, depth_scale: float) -> dict[str, Any]:
     row = {
         "id": f"{truth.name}/{view.seed[2]:05d}",
         "depth": as_png(as_stored(view.depth, depth_scale)),
-        "labels": as_png(view.labels),
+        "labels": as_png(where_stored(view.labels, view.depth, depth_scale)),
         "depth_scale": depth_scale,
         "intrinsics": [camera.fx, camera.fy, camera.cx, camera.cy],
         "object": truth.name,
