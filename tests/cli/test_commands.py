@@ -210,10 +210,16 @@ def test_pose_evaluation_keeps_its_promise(category, revolute, capsys):
     for errors in (found["initial"], found["refined"], *(entry["refined"] for entry in found["by_object"])):
         errors_have_the_promised_keys(errors, revolute, len(revolute) + 1)
     assert [set(entry) for entry in found["by_object"]] == [{"object", "refined"}] * 2
+    for name in ("joint_state_error_deg", "joint_state_error", "axis_error_deg"):
+        means = [None if error is None else error["mean"] for error in found["refined"][name]]
+        for mean, interval in zip(means, found["interval"][name], strict=True):
+            assert interval is None if mean is None else interval[0] <= mean <= interval[1], name
     assert set(found["seconds"]) == {"network", "refinement"}
     assert [Path(file).is_file() for file in found["pictures"]] == [True] * 4
     assert run(arguments) == 0
-    assert "refined" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "refined" in printed
+    assert "95 % interval of means, over objects: joint state" in printed
 
 
 @pytest.mark.slow

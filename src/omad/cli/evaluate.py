@@ -123,26 +123,32 @@ def pose_text(answer: dict[str, Any]) -> str:
     lines = {"initial": answer["initial"], "refined": answer["refined"]}
     if answer["objects"] <= 10:
         lines |= {f"  {entry['object']}": entry["refined"] for entry in answer["by_object"]}
-    per_metre = 1 / answer["metres_per_unit"]
-    rows = [["", *columns]]
+    per_metre, rows = 1 / answer["metres_per_unit"], [["", *columns]]
     for label, errors in lines.items():
-        both = zip(errors["joint_state_error_deg"], errors["joint_state_error"], strict=True)
-        states = [_spread(angle, 1, "°") if angle else _spread(length, per_metre, " u") for angle, length in both]
         distances = ["-" if error is None else _spread(error, per_metre, "") for error in errors["axis_distance"]]
-        axes = [_spread(error, 1, "°") for error in errors["axis_error_deg"]]
-        cells = [label, *map(", ".join, (states, axes, distances)), _spread(errors["rotation_error_deg"][0], 1, "°")]
+        axes = ", ".join(_spread(error, 1, "°") for error in errors["axis_error_deg"])
+        turned = _spread(errors["rotation_error_deg"][0], 1, "°")
+        cells = [label, _states(errors, per_metre), axes, ", ".join(distances), turned]
         rows.append(cells + [f"{errors[share]:.1%}" for share in shares])
     seen = f"{answer['views']} views of {answer['objects']} objects"
     head = f"{answer['category']}, {answer['source']}: {seen}, mean / median / 90th percentile"
     seconds = {key: "-" if value is None else f"{1000 * value:.1f} ms" for key, value in answer["seconds"].items()}
     times = ", ".join(f"{key} {spent}" for key, spent in seconds.items())
     refused = [f"refused {each['name']}: {each['reason']}" for each in answer["refused"]]
-    return "\n".join([head, table(rows), f"failures {answer['failures']}; per image: {times}", *refused])
+    found, axes = answer["interval"], ", ".join(_spread(axis, 1, "°") for axis in answer["interval"]["axis_error_deg"])
+    means = f"95 % interval of means, over objects: joint state {_states(found, per_metre)}; axis angle {axes}"
+    return "\n".join([head, table(rows), means, f"failures {answer['failures']}; per image: {times}", *refused])
 
 
-def _spread(error: dict[str, float], factor: float, unit: str) -> str:
-    digits = 1 if unit == "°" else 3
-    return " / ".join(f"{factor * error[key]:.{digits}f}{unit}" for key in ("mean", "median", "p90"))
+def _states(errors: dict[str, Any], per_metre: float) -> str:
+    """Of every joint, in degrees or category units."""
+    both = zip(errors["joint_state_error_deg"], errors["joint_state_error"], strict=True)
+    return ", ".join(_spread(angle, 1, "°") if angle else _spread(length, per_metre, " u") for angle, length in both)
+
+
+def _spread(error: dict[str, float] | tuple[float, float], factor: float, unit: str) -> str:
+    values, digits = error.values() if isinstance(error, dict) else error, 1 if unit == "°" else 3
+    return " / ".join(f"{factor * value:.{digits}f}{unit}" for value in values)
 
 
 @dataclass(frozen=True, kw_only=True)

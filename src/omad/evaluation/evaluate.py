@@ -102,9 +102,8 @@ def summary(results: Sequence[Measured], category: Category, source: str) -> dic
     for name in sorted(set(names)):
         own = [errors for errors, whose in zip(refined, names, strict=True) if whose == name]
         by_object.append({"object": name, "refined": summarise(own, diagonals[names == name], category)})
-    state = np.stack([errors.joint_state for errors in refined])
-    axis = np.degrees([errors.axis for errors in refined])
-    state = np.where(category.turning, np.degrees(state), state)
+    states = np.stack([errors.joint_state for errors in refined])
+    axes = np.degrees([errors.axis for errors in refined])
     return {
         "category": category.name,
         "source": source,
@@ -115,12 +114,18 @@ def summary(results: Sequence[Measured], category: Category, source: str) -> dic
         "initial": summarise([r.initial for r in results], diagonals, category),
         "refined": summarise(refined, diagonals, category),
         "interval": {
-            "joint_state_error": [bootstrap_interval(column, names) for column in state.T],
-            "axis_error_deg": [bootstrap_interval(column, names) for column in axis.T],
+            "joint_state_error_deg": _intervals(np.degrees(states), names, category.turning),
+            "joint_state_error": _intervals(states, names, [not turns for turns in category.turning]),
+            "axis_error_deg": _intervals(axes, names, [True] * axes.shape[1]),
         },
         "by_object": by_object,
         "seconds": {"network": None, "refinement": None} | _medians(times),
     }
+
+
+def _intervals(values: np.ndarray, names: np.ndarray, of: Sequence[bool]) -> list[tuple[float, float] | None]:
+    """Of each column of ``values`` (views, C) that counts, ``of`` (C,)."""
+    return [bootstrap_interval(column, names) if counts else None for column, counts in zip(values.T, of, strict=True)]
 
 
 def failed(results: Sequence[ViewResult]) -> dict[str, int]:
