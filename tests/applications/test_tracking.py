@@ -179,6 +179,7 @@ def test_a_frame_that_a_cold_start_explains_surprises_as_its_answer_does(stapler
     first, second = tracker(observation, 0.0), tracker(observation, 0.1)
     assert (first.status, second.status, second.single) == ("tracking", "tracking", seen)
     assert second.surprise == pytest.approx(0, abs=1e-6)
+    assert tracker(observation, 60.0).single is seen  # after a pause nothing surprises
 
 
 def test_a_shape_that_is_known_stays(stapler):

@@ -157,6 +157,8 @@ class Tracker:
             return self._miss(track, None, None)
         known = _of_one_hand(known, track.last)
         single = no_surer(self.estimator.near(observation, self._near(track), known), observation.likelihood)
+        if time - track.believed > self.config.lost_after:  # unseen for so long, it may be anywhere
+            single = max(single, self._cold(observation, known), key=evidence)
         surprise = self._surprise(track, single)
         believed = surprise < self._limit and self._plausible(single)
         track.since_challenge += 1
