@@ -118,6 +118,11 @@ def test_points_are_those_of_the_formula_to_the_last_bit(dtype: str, masked: boo
 # bad depth, bad intrinsics, bad crops
 
 
+def test_an_axis_of_one_channel_or_one_image_may_be_there() -> None:
+    for depth in (bump()[..., None], torch.tensor(bump())[None]):
+        np.testing.assert_array_equal(Observation.from_depth(depth, K).points, Observation.from_depth(bump(), K).points)
+
+
 def test_depth_of_a_wrong_kind() -> None:
     refused("(H, W)", "(48, 64, 3)", depth_m=np.ones((48, 64, 3)))
     refused("dtype", depth_m=np.ones((48, 64), dtype=bool))

@@ -81,9 +81,9 @@ class Observation:
         mask_id: int | None = None,
         color: Any = None,
     ) -> Self:
-        """Back-project a depth image (H, W) of floats in metres; 0, negative, NaN and infinite mean no measurement.
-        NumPy arrays and torch tensors of any device are taken alike, and so are ROS's Image and CompressedImage,
-        Open3D's Image and RGBDImage, and librealsense's depth_frame, which brings its intrinsics along.
+        """Back-project a depth image (H, W), (H, W, 1) or (1, H, W) of floats in metres; 0, negative, NaN and infinite
+        mean no measurement. NumPy arrays and torch tensors of any device are taken alike, and so are ROS's Image and
+        CompressedImage, Open3D's Image and RGBDImage, and librealsense's depth_frame, which brings its intrinsics along.
 
         Which pixels are the object's: ``mask``, whatever ``as_mask`` takes, of a label image those with ``mask_id``;
         thin parts that a mask lost, as it is too narrow, are given back to it (``thin_parts``);
@@ -279,6 +279,8 @@ def _numbers(values: Any, name: str) -> np.ndarray:
 def _check_depth(depth_m: Any) -> np.ndarray:
     """(H, W) float32, the caller's no longer, with every kind of missing measurement turned into 0."""
     stored = _numbers(depth_m, "depth")
+    if stored.ndim == 3 and 1 in (stored.shape[0], stored.shape[2]):
+        stored = stored[0] if stored.shape[0] == 1 else stored[..., 0]
     if stored.ndim != 2:
         raise InputError(f"depth: expected one channel of shape (H, W), got shape {stored.shape}")
     depth = np.fmax(stored.astype(np.float32, copy=False), 0)  # of NaN and 0, fmax takes 0
