@@ -1,7 +1,7 @@
 """Measure the shipped weights on spoilt views and write the table of docs/robustness.md.
 
     OMP_NUM_THREADS=1 python benchmarks/tables/make_robustness_table.py [--categories laptop laptop/cluttered]
-        [--views 60]
+        [--views 200]
     OMP_NUM_THREADS=1 python benchmarks/tables/make_robustness_table.py --models FOLDER [--views 60]
     OMP_NUM_THREADS=1 python benchmarks/tables/make_robustness_table.py --to-surface [--models FOLDER]
 
@@ -37,7 +37,7 @@ class Config:
 
     categories: tuple[str, ...] = ("laptop", "eyeglasses", "dishwasher", "scissors", "drawer")
     views: int = 60
-    """Of each row."""
+    """Of each row; of procedural objects each shows another one."""
     models: Path | None = None
     """Default: procedural objects."""
     to_surface: bool = False
@@ -55,7 +55,7 @@ def measured(config: Config, category: str, to_surface: bool = False) -> dict[st
     asked = EvalRobustness(
         category=name,
         weights=weights,
-        data=SpoiltViews(source=source, views=config.views),
+        data=SpoiltViews(source=source, objects=config.views, views=config.views),
         rows=rows,
         to_surface=to_surface,
     )

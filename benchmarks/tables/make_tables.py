@@ -53,7 +53,7 @@ class Config:
     """Default: all that have weights, the paper's first."""
     cache: Path = Path("runs/tables")
     views: int = 200
-    """On procedural objects."""
+    """On procedural objects, each of another one: views of one err alike."""
     views_a_model: int = 100
     """On each foreign model."""
 
@@ -65,7 +65,7 @@ def measured(
     kind = "procedural" if source == "procedural" else "models"
     noise = "on" if noisy else "off"
     file = config.cache / f"{category}-{kind}-{noise}-{views}{'-surface' * to_surface}.json"
-    data = Views(source=source, views=views, depth_noise=noise)
+    data = Views(source=source, objects=views, views=views, depth_noise=noise)
     return kept(file, lambda: EvalPose(category=category, data=data, to_surface=to_surface).run().record)
 
 
