@@ -231,6 +231,12 @@ def test_a_view_that_is_there_can_be_spoilt_but_not_seen_from_elsewhere() -> Non
     kept = scene_of(framed, category, Staging("table"))  # it has surroundings of its own
     assert kept is not None
     assert np.array_equal(spoilt(kept, Spoil()).view.depth, framed.depth)
+    narrow = framed.mask & (np.arange(framed.mask.shape[1]) < 320)  # not all that is labelled, and beside it a wall
+    narrow[:9] = True
+    masked = scene_of(replace(framed, mask=narrow), category, Staging())
+    assert np.array_equal(spoilt(masked, Spoil()).view.mask, narrow)
+    hidden = spoilt(masked, Spoil(hidden=0.25))
+    assert np.array_equal(hidden.view.mask, narrow & (hidden.instances <= OBJECT))
 
 
 def test_random_spoils_show_the_object_and_repeat() -> None:

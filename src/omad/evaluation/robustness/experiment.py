@@ -55,7 +55,7 @@ class Measured:
 
 
 def scenes_from(source: ViewSource, category: Category, seed: int) -> Scenes:
-    """Scenes of a source's models; of its images where it has no models, each with the mask that its labels say."""
+    """Scenes of a source's models; of its images where it has no models, each with its own mask."""
     if source.models:
 
         def draw(index: int, staging: Staging) -> Scene | None:

@@ -48,6 +48,8 @@ class Scene:
     """The object alone, labelled by part; never nothing."""
     around: Rendering
     """All else without the object, labelled BACKGROUND or by instance."""
+    mask: np.ndarray | None = None
+    """(H, W) bool, what is given out as the object, rightly or not; None: what is seen of it."""
 
     @property
     def distance(self) -> float:
@@ -84,8 +86,9 @@ def draw_scene(model: ObjectModel, category: Category, seed: Sequence[int], stag
 
 
 def scene_of(view: View, category: Category, staging: Staging) -> Scene | None:
-    """A view that is there already: what its frame shows beside the object stays; where that is nothing, it is given
-    surroundings. None where the staging asks for another viewpoint or camera, or nothing of the object is seen."""
+    """A view that is there already: its mask and what its frame shows beside the object stay; where that is nothing, it
+    is given surroundings. None where the staging asks for another viewpoint or camera, or nothing of the object is
+    seen."""
     on = view.labels != NOTHING
     if replace(staging, place="nothing") != Staging() or not on.any():
         return None
@@ -96,7 +99,7 @@ def scene_of(view: View, category: Category, staging: Staging) -> Scene | None:
         rng = np.random.default_rng([*view.seed, 1])
         outline, pose = _part_corners(view, category), view.T_camera_base
         around = _around(staging, outline, pose, thing, view.camera, rng, category)
-    return Scene(view.truth, view.states, view.T_camera_base, view.camera, view.seed, thing, around)
+    return Scene(view.truth, view.states, view.T_camera_base, view.camera, view.seed, thing, around, view.mask)
 
 
 def _layer(depth: np.ndarray, shown: np.ndarray, labels: np.ndarray) -> Rendering:

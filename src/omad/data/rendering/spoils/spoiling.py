@@ -103,7 +103,7 @@ def _shown(
     exact = in_front(scene.thing, scene.around)
     mine = (scene.thing.depth > 0) & (exact.depth == scene.thing.depth)
     instances = np.where(mine, np.uint8(OBJECT), scene.around.labels)
-    mask = mine
+    mask = mine if scene.mask is None else scene.mask
     if spoil.hidden > 0:
         front = occluder(mine, scene.thing.depth, scene.camera, spoil.hidden, rng(_Step.HIDE))
         exact, hides = in_front(front, exact), front.depth > 0
@@ -111,5 +111,5 @@ def _shown(
         others = instances[(instances != NOTHING) & (instances >= FIRST_OTHER)]
         instances = np.where(hides, np.uint8(others.max(initial=OBJECT) + 1), instances)
         mine = mine & ~hides
-        mask = with_rim(mine, hides, spoil.rim)
+        mask = with_rim(mask & ~hides, hides, spoil.rim)
     return exact, np.where(mine, scene.thing.labels, np.uint8(NOTHING)), instances, mask
