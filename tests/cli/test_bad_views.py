@@ -39,5 +39,9 @@ def test_views_that_show_nothing_are_said_to(capsys):
 def test_rendered_views_that_do_not_fit_the_question(capsys):
     answer(capsys, "render", *LAPTOP, "--objects", "1", "--views", "1", "--output", "views")
     source = ["--source", "views"]
-    assert "views" in refused(capsys, "eval", "pose", "--category", "drawer", *source)
+    assert "views of laptop, not of drawer" in refused(capsys, "eval", "pose", "--category", "drawer", *source)
     assert "--depth-noise" in refused(capsys, "eval", "pose", *LAPTOP, *source, "--depth-noise", "on")
+    file = Path("views/dataset.json")
+    file.write_text(json.dumps({**json.loads(file.read_text()), "category": "drawer"}))  # as of a spec that has changed
+    line = refused(capsys, "eval", "pose", "--category", "drawer", *source)
+    assert "of 1 joints, where the category has 3" in line

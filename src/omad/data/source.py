@@ -115,9 +115,7 @@ def _artimage_images(source: str, category: Category, broken: Broken, skip: int)
 
 
 def _rendered_images(source: str, category: Category, broken: Broken, skip: int) -> ViewSource:
-    rendered = open_views(source, broken)
-    if rendered.category != category.name:
-        raise InputError(f"{source}: views of {rendered.category}, not of {category.name}")
+    rendered = open_views(source, broken, category)
     return ViewSource(
         rendered.after(skip), len(rendered), rendered.noise is not None or rendered.clutter, rendered.left_out
     )

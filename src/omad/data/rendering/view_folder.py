@@ -138,6 +138,8 @@ class ViewFolder:
     views: int
     clutter: bool = False
     broken: Broken = "refuse"
+    joints: int | None = None
+    """Of its objects; None: as many as they say."""
     left_out: list[dict[str, str]] = field(default_factory=list)
     """{"name": of the view or object, "reason": one line}; grows while views are read."""
 
@@ -157,7 +159,7 @@ class ViewFolder:
         truths: dict[int, ObjectTruth] = {}
         for number, name in enumerate(self.objects[: self.views]):
             with passing_over(self.broken, self.left_out, name):
-                truths[number] = _read_truth(self.path / name)
+                truths[number] = _read_truth(self.path / name, self.joints)
         for index in range(first, self.views):
             seed, view = view_seed(index, len(self.objects), self.seed), None
             if (truth := truths.get(seed[1])) is None:
@@ -189,10 +191,10 @@ def is_view_folder(folder: str | Path) -> bool:
     return is_file(Path(folder) / "dataset.json")
 
 
-def open_views(folder: str | Path, broken: Broken = "refuse") -> ViewFolder:
-    """A folder that ``render_to_folder`` made. Raises InputError where it is none, or is not finished; while its views
-    are read, at the first broken file, or with ``broken="skip"`` leaves out the view or the object that it belongs to,
-    says so on stderr, and lists it."""
+def open_views(folder: str | Path, broken: Broken = "refuse", category: Category | None = None) -> ViewFolder:
+    """A folder that ``render_to_folder`` made. Raises InputError where it is none, is not of the ``category``, if one
+    is given, or is not finished; while its views are read, at the first broken file, or with ``broken="skip"`` leaves
+    out the view or the object that it belongs to, says so on stderr, and lists it."""
     path = Path(folder)
     values = read_json(path / "dataset.json", CURE)
     found = values.get("format") if isinstance(values, dict) else None
@@ -201,11 +203,13 @@ def open_views(folder: str | Path, broken: Broken = "refuse") -> ViewFolder:
     record = decoded(_Dataset, values, path / "dataset.json", CURE)
     if not record.finished:
         raise InputError(f"{path}: rendering was interrupted; give the same render command again to finish it")
+    if category is not None and record.category != category.name:
+        raise InputError(f"{path}: views of {record.category}, not of {category.name}")
     for name in record.objects:
         if Path(name).name != name or "\0" in name:
             raise InputError(f"{path / 'dataset.json'}: objects: {name!r} is no folder's name; {CURE}")
     made = {each.name: getattr(record, each.name) for each in fields(ViewFolder) if hasattr(record, each.name)}
-    return ViewFolder(path, **made, broken=broken)
+    return ViewFolder(path, **made, broken=broken, joints=None if category is None else len(category.joints))
 
 
 def render_to_folder(
@@ -362,9 +366,13 @@ def _truth_record(model: ObjectModel) -> dict[str, Any]:
     return {key: value.tolist() if isinstance(value, np.ndarray) else value for key, value in truth.items()}
 
 
-def _read_truth(folder: Path) -> ObjectTruth:
+def _read_truth(folder: Path, joints: int | None) -> ObjectTruth:
     file = folder / "object.json"
     record = read_record(_ObjectRecord, file, CURE)
+    if joints not in (None, len(record.axes)):
+        raise InputError(
+            f"{file}: axes: of {len(record.axes)} joints, where the category has {joints}; render it again"
+        )
     if not len(record.axes) == len(record.pivots) == len(record.limits) == len(record.part_boxes) - 1:
         raise InputError(f"{file}: axes, pivots, limits and part_boxes are of different numbers of joints; {CURE}")
     if record.name not in (None, folder.name):
