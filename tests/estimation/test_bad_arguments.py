@@ -88,6 +88,8 @@ def test_what_is_no_pose_of_a_camera_is_refused_before_anything_is_written(pose,
     ):
         with pytest.raises(InputError, match="T_world_camera: "):
             ask()
+    with pytest.raises(InputError, match="T_camera_handle: "):
+        estimate.waypoint_poses("screen", pose, 0.0)
     assert not list(tmp_path.iterdir())
 
 

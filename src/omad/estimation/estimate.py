@@ -346,7 +346,7 @@ class Estimate(PoseEstimate):
             raise InputError(f"steps: {steps} is too few; give at least 1")
         if not np.isfinite(to_state):
             raise InputError(f"to_state: {to_state} is no state; give radians or metres")
-        start = numbers(T_camera_handle, 4, 4, what="T_camera_handle")
+        start = rigid_transform(T_camera_handle, "T_camera_handle")
         T_world = np.eye(4) if T_world_camera is None else rigid_transform(T_world_camera, "T_world_camera")
         joint = self.joints[names.index(part) - 1]
         check_state(to_state, joint.limits, "to_state")

@@ -82,8 +82,8 @@ class Observation:
         color: Any = None,
     ) -> Self:
         """Back-project a depth image (H, W), (H, W, 1) or (1, H, W) of floats in metres; 0, negative, NaN and infinite
-        mean no measurement. NumPy arrays and torch tensors of any device are taken alike, and so are ROS's Image and
-        CompressedImage, Open3D's Image and RGBDImage, and librealsense's depth_frame, which brings its intrinsics along.
+        mean no measurement. NumPy arrays and torch tensors of any device are taken alike, so are ROS's Image and
+        CompressedImage, Open3D's Image and RGBDImage, librealsense's depth_frame, which brings its intrinsics along.
 
         Which pixels are the object's: ``mask``, whatever ``as_mask`` takes, of a label image those with ``mask_id``;
         thin parts that a mask lost, as it is too narrow, are given back to it (``thin_parts``);
