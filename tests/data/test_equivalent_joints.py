@@ -11,6 +11,7 @@ import pytest
 from helpers.own_models import JAR, JAR_PITCH, jar, seen_from_elsewhere, stapler
 from omad import get_category
 from omad.common.errors import InputError
+from omad.data.urdf_import.articulation import read_articulation
 from omad.data.urdf_import.folder import import_model, load_folder
 from omad.geometry.kinematics import KinematicTree
 from omad.objects.urdf import write_urdf
@@ -49,6 +50,15 @@ def test_a_turn_and_a_slide_about_one_axis_are_a_screw(rest, tmp_path):
     high = np.array([2 * np.pi])
     rise = found.posed_vertices(high)[1] - found.parts[1].vertices
     np.testing.assert_allclose(rise, np.broadcast_to([0, JAR_PITCH, 0], rise.shape), atol=1e-9)
+
+
+def test_a_slide_that_follows_a_turn_begins_at_its_offset(tmp_path):
+    file = tmp_path / "jar.urdf"
+    write_urdf(jar(), file)
+    before = read_articulation(file).links[1].mesh.vertices
+    file.write_text(file.read_text().replace('offset="0"', 'offset="0.01"'))
+    raised = read_articulation(file).links[1].mesh.vertices - before
+    np.testing.assert_allclose(raised, np.broadcast_to([0, 0.01, 0], raised.shape), atol=1e-9)
 
 
 def test_parts_on_one_hinge_may_hang_on_each_other_or_not(tmp_path):

@@ -3,7 +3,7 @@
 import io
 import xml.etree.ElementTree as ElementTree
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Self
@@ -16,6 +16,7 @@ from omad.common.incoming import existing, read_bytes, readable
 from omad.common.limits import check_limit
 from omad.geometry.joint_kinds import JointType, Motion, motion_of, type_of
 from omad.geometry.mesh import Mesh, merge_meshes
+from omad.geometry.rigid import rigid
 from omad.objects.category import Category
 from omad.objects.model import ObjectModel
 
@@ -113,14 +114,13 @@ def read_articulation(
 def _articulation(path: Path, metres_per_unit: float, files: MeshFiles) -> RawArticulation:
     robot = _parse(path)
     root, joints = _sorted_tree(path, robot)
-    T_model = {root: np.eye(4)}
-    for joint in joints:
-        T_model[joint.child] = T_model[joint.parent] @ (np.eye(4) if joint.origin is None else joint.origin)
+    T_model = _places(root, joints)
+    coupled = _coupled(robot, joints, T_model)
+    T_model = _places(root, joints, coupled)
     for name, T in T_model.items():
         if not (np.abs(T) < FARTHEST).all():
             raise InputError(f"{path}: link {name!r} has no proper origin; give finite numbers, not so large")
 
-    coupled = _coupled(robot, joints, T_model)
     body_of, members, moving = {root: 0}, [[root]], []
     for joint in joints:
         if joint.type == "fixed" or joint.name in coupled:
@@ -236,6 +236,17 @@ def _sorted_tree(path: Path, robot: Any) -> tuple[str, list[Any]]:
         loop = next(link for link in links if link not in order)
         raise InputError(f"{path}: the joints form a cycle through the link {loop!r}; remove one of them")
     return roots[0], joints
+
+
+def _places(root: str, joints: list[Any], coupled: Collection[str] = ()) -> dict[str, np.ndarray]:
+    """T_model_link (4, 4) of every link, all joints at zero: those that are ``coupled`` to others at their offset."""
+    T_model = {root: np.eye(4)}
+    for joint in joints:
+        T = T_model[joint.parent] @ (np.eye(4) if joint.origin is None else joint.origin)
+        if joint.name in coupled and joint.mimic.offset:
+            T = T @ rigid(np.eye(3), joint.mimic.offset * joint.axis / np.linalg.norm(joint.axis))
+        T_model[joint.child] = T
+    return T_model
 
 
 def _coupled(robot: Any, joints: list[Any], T_model: dict[str, np.ndarray]) -> dict[str, tuple[str, float]]:
