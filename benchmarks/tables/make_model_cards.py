@@ -19,7 +19,7 @@ import numpy as np
 import tyro
 from make_tables import kept
 
-from omad.cli.evaluate import EvalPose
+from omad.cli.evaluation.pose import EvalPose
 from omad.cli.options import Views
 from omad.common.errors import InputError
 from omad.common.files import write_atomic

@@ -15,7 +15,7 @@ from typing import Any
 import tyro
 from make_tables import replaced
 
-from omad.cli.evaluate import EvalRetrieval, ViewsOfEach
+from omad.cli.evaluation.retrieval import EvalRetrieval, ViewsOfEach
 from omad.common.files import write_atomic
 
 PAGE = Path(__file__).parents[2] / "docs" / "retrieval.md"

@@ -19,7 +19,7 @@ from typing import Any
 import tyro
 from make_tables import kept, replaced
 
-from omad.cli.evaluate import EvalRobustness, SpoiltViews
+from omad.cli.evaluation.robustness import EvalRobustness, SpoiltViews
 from omad.common.files import write_atomic
 from omad.evaluation.robustness.rows import CLEAN
 

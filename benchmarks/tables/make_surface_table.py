@@ -15,7 +15,7 @@ from typing import Any
 import tyro
 from make_tables import SURFACES, in_order, kept, replaced
 
-from omad.cli.evaluate import EvalShape
+from omad.cli.evaluation.shape import EvalShape
 from omad.cli.options import Views
 from omad.common.files import write_atomic
 

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 import tyro
 
-from omad.cli.evaluate import EvalPose
+from omad.cli.evaluation.pose import EvalPose
 from omad.cli.options import Views
 from omad.common.files import write_atomic, write_json
 from omad.model.checkpoint import find_weights, shipped_categories

@@ -39,6 +39,7 @@ def test_all_of_the_way_is_where_the_surface_lies(estimate):
     for joint, axis in zip(found.joints, estimate.surface.placed.axes, strict=True):
         assert np.allclose(joint.axis, axis)
     assert not np.allclose(found.joints[0].state, estimate.joints[0].state, atol=1e-4)
+    assert found.to_surface() is found
 
 
 @pytest.mark.filterwarnings("error")

@@ -71,5 +71,5 @@ def _plain(value: Any) -> str:
     if isinstance(value, dict):
         return ", ".join(f"{key}={inner}" for key, inner in value.items()) or "-"
     if isinstance(value, list):
-        return ", ".join(f"{v:.3f}" if isinstance(v, float) else str(v) for v in value) or "-"
+        return ", ".join(f"{v:.3f}" if isinstance(v, float) else _plain(v) for v in value) or "-"
     return f"{value:.4f}" if isinstance(value, float) else str(value)

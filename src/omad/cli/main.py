@@ -23,7 +23,11 @@ from omad.common.processes.signals import end_at_once, exit_code, raise_in_work
 
 from .answer import as_json
 from .estimate import Detect, EstimateCommand
-from .evaluate import EvalKeypoints, EvalPose, EvalRetrieval, EvalRobustness, EvalShape, EvalViews
+from .evaluation.correspondence import EvalKeypoints, EvalViews
+from .evaluation.pose import EvalPose
+from .evaluation.retrieval import EvalRetrieval
+from .evaluation.robustness import EvalRobustness
+from .evaluation.shape import EvalShape
 from .explore import Explore
 from .figures import FigureKeypoints, FigureOcclusion, FigureQualitative, FigureSweep, FigureTsne
 from .index import IndexBuild, IndexMerge, IndexQuery

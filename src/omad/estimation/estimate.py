@@ -194,15 +194,15 @@ class Estimate(PoseEstimate):
     def to_surface(self) -> Self:
         """The answer with its pose, shape and joint states so far towards those of the fit to its surface as was best
         on views that the network had not seen; axes and keypoints follow, and deviations shrink as errors did there.
-        Takes as long as ``surface``. Of several views of one object each goes its own way. Raises InputError where
-        these weights have no surfaces, or how far was not measured."""
+        Takes as long as ``surface``; once there, an answer stays. Of several views of one object each goes its own way.
+        Raises InputError where these weights have no surfaces, or how far was not measured."""
         if self.of_other_hand:
             return self.in_mirror().to_surface().in_mirror()
         shares = None if self.surfaces is None else self.surfaces.bank.shares
         if self.surfaces is None or shares is None:
             cure = train_command(self.category)
             raise InputError(f"to_surface: whether it helps was not measured for these weights; run {cure}")
-        if not shares.taken.any() or not self.is_finite:
+        if "surface" in self.seconds or not shares.taken.any() or not self.is_finite:
             return self
         began, fitted = time.perf_counter(), self.surface
         assert isinstance(fitted, FittedSurface)

@@ -14,7 +14,7 @@ from omad.common.files import write_json
 from omad.common.lazy import lazy_imports
 
 from ..answer import Answer, table
-from ..evaluate import EvalPose
+from ..evaluation.pose import EvalPose
 from ..options import Json, Seed, Views, check_positive, generable
 from .networks import SeveralProcesses, TrainConfidence, TrainNet, TrainPrior, TrainSurface
 from .schedule import ScheduleOptions

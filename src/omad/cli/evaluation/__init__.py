@@ -1,0 +1,1 @@
+"""``omad eval``: how good weights are, one command a file."""
