@@ -55,7 +55,7 @@ def measured(config: Config, category: str, to_surface: bool = False) -> dict[st
     asked = EvalRobustness(
         category=name,
         weights=weights,
-        data=SpoiltViews(source=source, objects=config.views, views=config.views),
+        data=SpoiltViews(source=source, views=config.views),
         rows=rows,
         to_surface=to_surface,
     )

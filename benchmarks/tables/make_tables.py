@@ -65,7 +65,7 @@ def measured(
     kind = "procedural" if source == "procedural" else "models"
     noise = "on" if noisy else "off"
     file = config.cache / f"{category}-{kind}-{noise}-{views}{'-surface' * to_surface}.json"
-    data = Views(source=source, objects=views, views=views, depth_noise=noise)
+    data = Views(source=source, views=views, depth_noise=noise)
     return kept(file, lambda: EvalPose(category=category, data=data, to_surface=to_surface).run().record)
 
 

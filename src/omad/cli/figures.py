@@ -139,7 +139,7 @@ class FigureOcclusion(_Drawing):
     Of every view a random half-plane or box takes 0 to 60 % of the object's pixels. OMAD before and after refinement,
     and A-NCSH where the weights hold an ancsh/ folder."""
 
-    data: OmitArgPrefixes[Views] = Views(views=100)
+    data: OmitArgPrefixes[Views] = Views(objects=20, views=100)
 
     def run(self) -> Answer:
         self.data.check()

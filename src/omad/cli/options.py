@@ -147,8 +147,8 @@ class Views:
     """procedural, unusual (its odd members), mirrored (of the other hand), a generator of your own (.py), a folder of
     models, an ArtImage root (its test split), or what ``omad render`` made: its folder, or with --cluster its
     address."""
-    objects: int = 20
-    """Procedural objects a category."""
+    objects: int = 200
+    """Procedural objects a category, at most as many as views: those of one object err alike."""
     views: int = 200
     """A category, dealt out to the objects; ``omad eval`` takes all of a rendered folder or an ArtImage root."""
     seed: Seed = 0

@@ -35,7 +35,7 @@ with lazy_imports():
 class _Table(CategoriesCommand):
     """Methods measured on the same views of several categories."""
 
-    data: OmitArgPrefixes[Views] = Views()
+    data: OmitArgPrefixes[Views] = Views(objects=20)
     cache: Path | None = None
     """Folder of predictions; those of other weights, settings or data are refused. Default: in the user's cache."""
     metrics: Literal["ours", "released"] = "ours"
@@ -128,7 +128,7 @@ class EvalAblation:
     commands with other --variants may run side by side; the table lists what is not trained yet."""
 
     category: CategoryName = "laptop"
-    data: OmitArgPrefixes[Views] = Views(depth_noise="on")
+    data: OmitArgPrefixes[Views] = Views(objects=20, depth_noise="on")
     cache: Path | None = None
     """Folder of predictions; those of other weights, settings or data are refused. Default: in the user's cache."""
     samples: int = 16_000

@@ -194,12 +194,13 @@ def load_objects(
 def load_views(
     source: str, category: Category, objects: int, views: int, seed: int, noise: str, broken: Broken, skip: int = 0
 ) -> ViewSource:
-    """Views to test on: all images that a source holds, else standard views of its models; without the first ``skip``
-    of them, which ``total`` still counts. ``noise``: one of ``depth_noise.LEVELS``. Raises InputError for a source of
-    another category, and where noise is asked for that only a rendering can have."""
+    """Views to test on: all images that a source holds, else standard views of its models, of which no more are
+    generated than there are views; without the first ``skip`` of them, which ``total`` still counts. ``noise``: one of
+    ``depth_noise.LEVELS``. Raises InputError for a source of another category, and where noise is asked for that only a
+    rendering can have."""
     images = kind_of(source).images
     if images is None:
-        found = load_models(source, category, objects, "test", seed)
+        found = load_models(source, category, min(objects, views), "test", seed)
         drawn = standard_views(found.models, category, views, seed, LEVELS[noise], skip)
         return ViewSource(drawn, views, noise != "off", found.refused, found.models)
     if noise != "off":

@@ -32,8 +32,8 @@ class SpoiltViews(Models):
     source: str = "procedural"
     """procedural, a folder of URDF / PartNet-Mobility models, what ``omad render`` made, or a folder of the same
     layout with depth frames of your own; of images, rows that need another viewpoint or camera are left out."""
-    objects: int = 60
-    """Procedural objects a category: one a view, as views of one object err alike."""
+    objects: int = 200
+    """Procedural objects a category, at most as many as views: those of one object err alike."""
     views: int = 60
     """Of each row, dealt out to the objects; of images, evenly over all of them."""
     broken: BrokenFiles = "refuse"
