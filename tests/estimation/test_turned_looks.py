@@ -22,7 +22,7 @@ def expected_error(estimate: Estimate) -> float:
 @pytest.mark.slow
 def test_unsure_views_alone_change_and_become_surer(monkeypatch):
     laptop = Estimator.from_pretrained("laptop")
-    row = ROWS["cut-off-25"].spoil
+    row = ROWS["smooth-3"].spoil
     scenes = scenes_from(load_views("procedural", LAPTOP, 10, 40, 0, "off", "refuse"), LAPTOP, 0)
     views = [spoilt(scene, row).view for index in range(40) if (scene := scenes(index, row.staging)) is not None]
     seen = list(observe_all(views).values())
