@@ -180,3 +180,9 @@ def test_confidence_is_trained_into_the_checkpoint(capsys, monkeypatch):
     assert str(Path("own") / FILE) in refused(capsys, "estimate", image, *LAPTOP, *K, *weights)
     answer(capsys, *trained, "--views", "50")  # the cure that is named
     assert (Path("own") / FILE).read_text() == kept
+
+
+@pytest.mark.slow
+def test_a_wrong_depth_scale_is_doubted(capsys):
+    found = answer(capsys, "estimate", save_png("d.png"), *LAPTOP, *K, "--depth-scale", "1e-4")
+    assert "depth scale" in found["warnings"][0]
