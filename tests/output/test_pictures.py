@@ -93,6 +93,15 @@ def test_a_point_right_before_the_lens_makes_no_boundless_picture():
     assert max(max(image.get_array().shape) for panel in panels for image in panel.images) == 640 + MAX_SIDE
 
 
+def test_a_large_image_is_drawn_as_a_small_one(monkeypatch):
+    observation, right = seen()
+    monkeypatch.setattr("omad.output.picture.MAX_SIDE", 320)
+    panels = figure(observation, right).axes
+    assert panels[0].images[0].get_array().shape == panels[1].images[0].get_array().shape[:2] == (240, 320)
+    [explained] = re.findall(r"(\d+)% of the pixels explained", panels[3].get_title())
+    assert int(explained) > 90
+
+
 def test_notebooks_display_what_show_returns_and_it_is_written_as_named(tmp_path):
     shown = show(*seen(), path=tmp_path / "picture")
     assert Image.open(io.BytesIO(shown._repr_png_())).size[0] > 800

@@ -173,14 +173,14 @@ def plain_texts(fig: Figure) -> None:
 
 def _for_picture(observation: Observation) -> Observation:
     """Of a large image only so many rows and columns as a picture shows."""
-    camera, depth = observation.camera, observation.depth
+    camera = observation.camera
     every = 1 if camera is None else -(-max(camera.width, camera.height) // MAX_SIDE)
     if camera is None or every == 1:
         return observation
-    depth = None if depth is None else depth[::every, ::every]
+    images = {name: getattr(observation, name) for name in ("depth", "mask", "color")}
+    thinned = {name: None if image is None else image[::every, ::every] for name, image in images.items()}
     size = -(-camera.width // every), -(-camera.height // every)
-    color = None if observation.color is None else observation.color[::every, ::every]
-    return replace(observation, depth=depth, color=color, camera=camera.zoomed(1 / every, size=size))
+    return replace(observation, **thinned, camera=camera.zoomed(1 / every, size=size))
 
 
 def how_sure(estimate: Estimate) -> str:
