@@ -35,6 +35,9 @@ def test_triangles_without_area_are_lines_and_points():
     found, which = nearest_of(points, triangles, np.array([[0, 1], [0, 1]]))
     assert which.tolist() == [0, 1]
     assert np.allclose(np.linalg.norm(found - points, axis=1), [1.0, 2.0])
+    for corners in ([0, 0, 2], [0, 2, 0], [2, 0, 0]):
+        found, _ = nearest_of(points[:1], triangles[:1, corners], np.array([[0]]))
+        assert found.tolist() == [[0.5, 0.0, 0.0]]
 
 
 def test_surface_finds_the_nearest_triangles_by_samples():

@@ -87,7 +87,7 @@ def _on_triangle(p, a, b, c):
     if d6 >= 0 and d5 <= d6:
         return _between(a, b, c, 0.0, 1.0)
     of_c = d1 * d4 - d3 * d2
-    if of_c <= 0 and d1 >= 0 and d3 <= 0:
+    if of_c <= 0 and d1 >= 0 and d3 <= 0 and d1 > d3:  # a is not b
         return _between(a, b, c, d1 / (d1 - d3), 0.0)
     of_b = d5 * d2 - d1 * d6
     if of_b <= 0 and d2 >= 0 and d6 <= 0:
