@@ -15,6 +15,7 @@ from omad.geometry.rigid import box
 from omad.geometry.transforms import MIRROR_X
 from omad.objects.category import Category
 from omad.objects.model import ObjectModel, SampledObject
+from omad.objects.pose import mirrored_axes
 
 APART = 0.02
 """Bends are at least so far apart, as a share of the object's extent."""
@@ -64,8 +65,7 @@ def mirrored(model: ObjectModel, category: Category) -> ObjectModel:
     """The image in the plane x = 0 of an object whose parts are all mirrored onto each other or themselves."""
     image = [part.mirror for part in category.parts if part.mirror is not None]
     joints = np.array(image[1:]) - 1
-    # a direction of turning is mirrored the other way round than one of travel
-    axes = model.axes[joints] * np.where(np.array(category.turning)[:, None], -np.array(MIRROR_X), MIRROR_X)
+    axes = mirrored_axes(model.axes[joints], category.turning)
     back = (axes * [joint.axis for joint in category.joints]).sum(1) < 0
     limits = np.where(back[:, None], -model.limits[joints, ::-1], model.limits[joints])
     parts = tuple(model.parts[of].mirrored() for of in image)

@@ -157,12 +157,9 @@ class ShapeIndex:
         if not count:
             return Neighbours(np.zeros((len(betas), 0), dtype=np.int64), np.zeros((len(betas), 0)))
         if self._search is None:
-            vectors = self._vectors(self.betas)
+            vectors = self.space.vectors(self.betas)
             self._search = GraphSearch.of(vectors) if self.backend == "faiss" else ExactSearch(vectors)
-        return self._search.nearest(self._vectors(betas), count)
-
-    def _vectors(self, betas: np.ndarray) -> np.ndarray:
-        return (np.asarray(betas, dtype=np.float64) @ self.space.factor.T).astype(np.float32)
+        return self._search.nearest(self.space.vectors(betas), count)
 
     def save(self, path: str | Path) -> None:
         """Write one file in place of the index that was there; a crash leaves the old one. Raises InputError where

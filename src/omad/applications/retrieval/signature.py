@@ -82,6 +82,10 @@ class Space:
             factor = np.eye(size)
         return cls(prior_fingerprint(prior, category), category.name, metric, factor)
 
+    def vectors(self, betas: np.ndarray) -> np.ndarray:
+        """(N, D) float32 of betas (N, D): their Euclidean distances are those of the space."""
+        return (np.asarray(betas, dtype=np.float64) @ self.factor.T).astype(np.float32)
+
     def check(self, signature: Signature) -> None:
         """Raises InputError where the signature speaks another prior's language."""
         self.check_prior(signature.prior)

@@ -60,7 +60,7 @@ class View:
     depth: np.ndarray
     """(H, W) float32 metres, 0 where there is no measurement."""
     labels: np.ndarray
-    """(H, W) uint8 part index, ``render.NOTHING`` where there is no measurement of the object."""
+    """(H, W) uint8 part index, ``NOTHING`` where there is no measurement of the object."""
     camera: Camera
     states: np.ndarray
     """(J,) radians or metres."""

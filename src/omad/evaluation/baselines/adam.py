@@ -1,6 +1,6 @@
 """The paper's own way to refine: Adam on quaternion, translation, joint states and beta. Kept for comparison.
 
-Same inputs and outputs as ``refinement.refine``, none of its prior, limits or covariance. Category units and radians.
+Same inputs and outputs as a ``Refiner``, none of its prior, limits or covariance. Category units and radians.
 """
 
 from collections.abc import Iterator
@@ -35,7 +35,7 @@ class AdamResult:
     loss: Tensor
     """(B,) mean of unsquared keypoint distances, the quantity that was minimised."""
     energy: Tensor
-    """(B,) sum of weighted squared keypoint distances, to compare with ``refine``."""
+    """(B,) sum of weighted squared keypoint distances, to compare with a ``Refiner``'s."""
     converged: Tensor
     """(B,) bool."""
     steps: Tensor

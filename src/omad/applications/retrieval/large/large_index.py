@@ -136,13 +136,10 @@ class LargeIndex:
         count = min(count, len(self))
         if not count or self._search is None:
             return Neighbours(np.zeros((len(betas), 0), dtype=np.int64), np.zeros((len(betas), 0)))
-        found = self._search.nearest(self._vectors(betas), count)
+        found = self._search.nearest(self.space.vectors(betas), count)
         if found.rows.max() >= len(self):
             raise InputError(f"{self.folder}: is damaged (its lists name entries that are not there); build it anew")
         return found
-
-    def _vectors(self, betas: np.ndarray) -> np.ndarray:
-        return (np.asarray(betas, dtype=np.float64) @ self.space.factor.T).astype(np.float32)
 
     def add(self, portions: Iterable[Portion], source: str = "") -> None:
         """Add a stream of entries; what is not yet written is in memory, at most some hundred thousand of them. After
@@ -193,7 +190,7 @@ class LargeIndex:
         sample = []
         for part in self._parts:
             rows = np.sort(rng.choice(len(part), max(1, round(share * len(part))), replace=False))
-            sample.append(self._vectors(part.betas[rows]))
+            sample.append(self.space.vectors(part.betas[rows]))
         name = f"centres-{manifest.number + 1:06d}"
         manifest = replace(manifest, number=manifest.number + 1, centres=name, centres_for=manifest.entries, lists=())
         path = self.folder / f"{name}.npy"
@@ -222,7 +219,7 @@ class LargeIndex:
     def _sorted(self, manifest: Manifest, index: int) -> ivf.Lists:
         centres = self._centres(manifest)
         assert centres is not None
-        return ivf.sorted_into_lists(centres, self._vectors(self._parts[index].betas), self._starts[index])
+        return ivf.sorted_into_lists(centres, self.space.vectors(self._parts[index].betas), self._starts[index])
 
     def _written(self, manifest: Manifest, lists: list[ivf.Lists]) -> tuple[Manifest, StoredLists]:
         stored = ivf.write_lists(self.folder, f"lists-{manifest.number + 1:06d}", lists)
