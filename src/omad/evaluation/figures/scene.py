@@ -41,7 +41,7 @@ def crop_around(camera: Camera, points: np.ndarray, aspect: float, foot: float =
 def open_panel(panel: Axes, crop: Camera) -> None:
     """Make ``panel`` show this camera's image and nothing around."""
     panel.set_axis_off()
-    panel.set(xlim=(0, crop.width), ylim=(crop.height, 0))
+    panel.set(xlim=(-0.5, crop.width - 0.5), ylim=(crop.height - 0.5, -0.5))  # pixel centres are at integers
 
 
 def studio(points: np.ndarray, aspect: float, foot: float = 0.0) -> tuple[np.ndarray, Camera]:
@@ -58,7 +58,7 @@ def paint(panel: Axes, crop: Camera, parts: Sequence[Mesh], pale: float, grey: b
     """Draw parts in the camera frame, a colour a part or all of them ``GREY``, mixed with white by ``pale``."""
     colours = np.tile(GREY, (len(parts), 1)) if grey else part_colours(np.arange(len(parts)))
     image = shaded(crop, parts, colours * (1 - pale) + pale)
-    panel.imshow(image, extent=(0, crop.width, crop.height, 0), interpolation="antialiased")
+    panel.imshow(image, extent=(-0.5, crop.width - 0.5, crop.height - 0.5, -0.5), interpolation="antialiased")
     open_panel(panel, crop)
 
 
