@@ -15,9 +15,10 @@ from omad.data.rendering.spoils.spoil import Spoil
 from omad.data.rendering.spoils.thinned import FEWEST, thinned_spoil
 from omad.estimation.confidence.model import Confidence, FittedTo, deviations
 from omad.estimation.confidence.signals import IMAGE, JOINT, WITHOUT_FRONT, Signals
+from omad.estimation.estimator import Estimator
 from omad.evaluation.calibration import area_under_roc, expected_calibration_error
 from omad.evaluation.confidence import views
-from omad.evaluation.confidence.fitting import Answers, fit, measured
+from omad.evaluation.confidence.fitting import Answers, answered, fit, measured
 from omad.evaluation.confidence.views import HEAPS, OTHERS, examples
 
 VIEWS = 2000
@@ -100,6 +101,11 @@ def test_other_things_count_for_the_probability_alone() -> None:
     few = Answers(seen.signals, np.where(np.arange(VIEWS)[:, None] < 100, seen.errors, np.nan), seen.right)
     with pytest.raises(InputError, match=r"views: 75 of them .* give more"):
         fit(few, LAPTOP, TO_TEST)
+
+
+def test_too_few_views_are_refused_before_any_is_made() -> None:
+    with pytest.raises(InputError, match=r"views: are 199, .* at least 200 .* give more"):
+        answered(Estimator.from_pretrained("laptop"), [], 199, 0)
 
 
 def test_a_fit_can_be_kept(fitted: Confidence, tmp_path: Path) -> None:

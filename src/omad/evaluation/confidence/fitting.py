@@ -63,7 +63,10 @@ class Answers:
 
 
 def answered(estimator: Estimator, models: Sequence[ObjectModel], views: int, seed: int) -> Answers:
-    """The estimator's answers to so many views of the ``models``, and of other things."""
+    """The estimator's answers to so many views of the ``models``, and of other things. Raises InputError where these
+    are too few for ``fit``, whatever they show."""
+    if views < FEWEST:
+        raise InputError(f"views: are {views}, but at least {FEWEST} must show the category; give more")
     category = estimator.category
     found = [
         _answer(estimator, some)
