@@ -38,9 +38,7 @@ def depths() -> np.ndarray:
 
 
 def png(image: np.ndarray) -> bytes:
-    stored = io.BytesIO()
-    Image.fromarray(image).save(stored, "PNG")
-    return stored.getvalue()
+    return stored(Image.fromarray(image).save, "PNG")
 
 
 def stored(write, *args, **named) -> bytes:
@@ -56,8 +54,7 @@ def fields(i: int = 0, **more: bytes) -> dict[str, bytes]:
 @cache
 def alone(i: int, masked: bool = False) -> omad.Estimate:
     depth = (depths()[i] * 0.001).astype(np.float32)
-    mask = np.arange(640) % 640 < 330 if masked else None
-    mask = None if mask is None else np.broadcast_to(mask, depth.shape)
+    mask = np.broadcast_to(np.arange(640) < 330, depth.shape) if masked else None
     return estimator()(omad.Observation.from_depth(depth, (600, 600, 319.5, 239.5), mask))
 
 
@@ -112,9 +109,12 @@ def test_images_cameras_and_masks_in_their_formats(service):
     assert_same(service.post(fields(1, intrinsics=json.dumps(K).encode())).record, alone(1))
     mask = np.zeros((480, 640), np.uint8)
     mask[:, :330] = 255
-    for sent in (png(mask), stored(np.save, mask > 0)):
-        assert_same(service.post(fields(0, mask=sent)).record, alone(0, masked=True))
-    assert_same(service.post(fields(depth=png(depths()[1] * 2), depth_scale=b"0.0005")).record, alone(1))
+    own = stored(np.savez, depth=depths()[0], mask=mask)
+    for sent in ({"mask": png(mask)}, {"mask": stored(np.save, mask > 0)}, {"depth": own}):
+        assert_same(service.post(fields(0, **sent)).record, alone(0, masked=True))
+    told = {"intrinsics": b"\xef\xbb\xbf" + json.dumps(K | {"depth_scale": 0.0005}).encode()}
+    for more in ({"depth_scale": b"0.0005"}, told):
+        assert_same(service.post(fields(depth=png(depths()[1] * 2), **more)).record, alone(1))
 
 
 def test_the_page_on_request(service):

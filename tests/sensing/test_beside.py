@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -74,7 +75,7 @@ def test_a_camera_beside_an_image_is_read(capsys):
     assert "camera.json tells 600" in capsys.readouterr().err
     Path("depth.json").write_text(json.dumps(told | {"width": 1280, "height": 720}))  # the image's own comes first
     told = refused(capsys, "estimate", "depth.png", *LAPTOP)
-    assert "depth.png: is 640x480, but the camera of depth.json is for 1280x720; give --intrinsics" in told
+    assert "depth.png: the image is 640x480, but the camera of depth.json is for 1280x720; give --intrinsics" in told
 
 
 def test_a_scale_beside_an_image_is_of_its_integers():
@@ -83,9 +84,24 @@ def test_a_scale_beside_an_image_is_of_its_integers():
     Image.fromarray(stored).save("image.png")
     np.save("integers.npy", stored)
     Image.fromarray(np.ones((48, 64), dtype=np.float32)).save("metres.tiff")
-    for name in ("image.png", "integers.npy", "metres.tiff"):
+    np.save("channel.npy", stored[None])
+    for name in ("image.png", "integers.npy", "channel.npy", "metres.tiff"):
         reader = InputReader.of(InputOptions(), [Path(name)])
         assert reader(Path(name)).points[:, 2] == pytest.approx(1.0)
+
+
+def test_a_scale_in_the_file_of_the_intrinsics_is_that_of_the_images():
+    told = {"fx": 60, "fy": 60, "cx": 31.5, "cy": 23.5, "depth_scale": 4000}
+    Path("calibration.json").write_text(json.dumps(told))
+    Image.fromarray(np.full((48, 64), 4000, dtype=np.uint16)).save("image.png")
+    named = InputOptions(intrinsics="calibration.json")
+    assert InputReader.of(named, [])(Path("image.png")).points[:, 2] == pytest.approx(1.0)
+    scaled = InputReader.of(replace(named, depth_scale=0.0005), [])
+    assert scaled(Path("image.png")).points[:, 2] == pytest.approx(2.0)
+    Path("camera.json").write_text('{"depth_scale": 0.001}')
+    seen = InputReader.of(named, [])(Path("image.png"))
+    assert seen.points[:, 2] == pytest.approx(1.0)
+    assert "depth_scale of --intrinsics is 0.00025, but camera.json tells 0.001" in seen.warnings[-1]
 
 
 def test_a_mask_in_the_file_of_the_depth_image_counts():

@@ -150,6 +150,8 @@ def test_ply_of_points_and_of_a_mesh(tmp_path: Path, encoding: str) -> None:
 def test_text_clouds_with_comments_and_colours(tmp_path: Path, name: str, delimiter: str) -> None:
     np.savetxt(tmp_path / name, np.hstack([CLOUD, CLOUD]), delimiter=delimiter, header="x y z r g b")
     assert np.allclose(read_cloud(tmp_path / name), CLOUD)
+    (tmp_path / name).write_bytes(b"\xef\xbb\xbf" + (tmp_path / name).read_bytes())  # as Windows writes it
+    assert np.allclose(read_cloud(tmp_path / name), CLOUD)
 
 
 def test_array_clouds(tmp_path: Path) -> None:

@@ -161,8 +161,9 @@ def test_coco_run_lengths(tmp_path: Path) -> None:
     for counts in (RING_COUNTS, RING_COUNTS.encode(), runs, np.uint64(runs)):
         assert np.array_equal(as_mask({"size": [40, 60], "counts": counts}), RING)
     assert np.array_equal(as_mask({"size": list(np.int32([40, 60])), "counts": runs}), RING)
-    (tmp_path / "annotation.json").write_text(json.dumps({"id": 5, "segmentation": compressed}))
+    (tmp_path / "annotation.json").write_text(json.dumps({"id": 5, "segmentation": compressed}), "utf-8-sig")
     assert np.array_equal(read_mask(tmp_path / "annotation.json"), RING)
+    assert np.array_equal(parse_mask((tmp_path / "annotation.json").read_bytes(), "mask"), RING)
 
 
 def test_masks_of_segmenters_are_taken_as_they_come() -> None:

@@ -115,9 +115,9 @@ def read_bytes(path: Path, name: str = "data_bytes") -> bytes:
 
 
 def read_text(path: Path, cure: str = "export it again", errors: str = "strict") -> str:
-    """UTF-8. Raises InputError."""
+    """UTF-8, without the byte order mark that it may begin with. Raises InputError."""
     with readable(path, "text", cure):
-        return read_bytes(path, "text_bytes").decode("utf-8", errors)
+        return read_bytes(path, "text_bytes").decode("utf-8-sig", errors)
 
 
 def parse_json(text: str | bytes, path: str | Path, cure: str = "export it again") -> Any:
@@ -180,8 +180,8 @@ def decoded(kind: type[T], value: Any, path: str | Path, cure: str) -> T:
 
 
 def read_toml(path: Path, cure: str) -> dict[str, Any]:
-    """What a TOML file holds, which may begin with a byte order mark. Raises InputError."""
-    text = read_text(path, cure).removeprefix("\ufeff")
+    """What a TOML file holds. Raises InputError."""
+    text = read_text(path, cure)
     with readable(path, "TOML", cure):
         return tomllib.loads(text)
 

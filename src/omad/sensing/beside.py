@@ -15,13 +15,11 @@ from typing import Any
 from omad.common.errors import InputError
 from omad.common.limits import limits
 
-from .camera_files import CameraFile, camera_of, read_table, tells_of_camera
-from .depth_files import SCALES
+from .camera_files import CameraFile, camera_of, read_table, scale_of, tells_of_camera
 
 OF_DEPTH = ".depth"
 COMPANIONS = (".mask", ".labels", ".instances", ".color")
 """What an image's name has before its extension where it belongs to a depth image, and is none."""
-KEY = "depth_scale"
 
 
 @dataclass(frozen=True)
@@ -47,8 +45,8 @@ class Beside:
             table = _table(file)
             if camera is None and tells_of_camera(table):
                 camera, camera_file = camera_of(table, file), file
-            if scale is None and isinstance(table, dict) and KEY in table:
-                scale, scale_file = _metres(table[KEY], file), file
+            if scale is None and (scale := scale_of(table, file)) is not None:
+                scale_file = file
             if camera is not None and scale is not None:
                 break
         mask, *colors = (depth.with_name(f"{stem}{end}") for end in (".mask.png", ".color.png", ".color.jpg"))
@@ -85,10 +83,3 @@ def _read(file: Path, changed: int, size: int) -> Any:
         return read_table(file)
     except InputError:
         return None  # whatever it is, it is not a camera's
-
-
-def _metres(told: Any, file: Path) -> float:
-    """Open3D and TUM write how many stored numbers are a metre, others how many metres a number is."""
-    if isinstance(told, bool) or not isinstance(told, int | float) or not SCALES[0] <= told <= SCALES[1]:
-        raise InputError(f"{file}: {KEY} is no number of metres; correct it, or give --depth-scale")
-    return 1 / told if told > 1 else float(told)

@@ -15,7 +15,7 @@ from omad.geometry.camera import Camera
 from omad.geometry.lens import Distortion
 from omad.geometry.rigid import is_rotation
 
-from .depth_files import read_array
+from .depth_files import SCALES, read_array
 
 WRONG = (TypeError, ValueError, KeyError, IndexError, OverflowError, AttributeError, RecursionError)
 """What values of the wrong kind, or none, raise."""
@@ -27,6 +27,7 @@ FARTHEST = 1e3
 """Metres between cameras."""
 LENS, FISHEYE = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"), ("k1", "k2", "k3", "k4")
 """Coefficients by name, in OpenCV's order."""
+SCALE = "depth_scale"
 OPENCV = "%YAML:1.0"
 """How OpenCV's files begin, which is no YAML."""
 REALSENSE = ("none", "modified_brown_conrady", "inverse_brown_conrady", "ftheta", "brown_conrady", "kannala_brandt4")
@@ -45,6 +46,8 @@ class CameraFile:
     """Width and height of the images that it is for, where told."""
     rectified: np.ndarray | None = None
     """(3, 3) pixels, of its images after they were rectified, where ROS's ``P`` tells it."""
+    depth_scale: float | None = None
+    """Metres per stored integer of its depth images, where told."""
 
     def without_lens(self) -> Self:
         """That of its rectified images."""
@@ -56,7 +59,8 @@ def read_camera(source: str | Path) -> CameraFile:
     column-major, alone or in PinholeCameraParameters), JSON or YAML with ``fx, fy, cx, cy`` or librealsense's ``fx, fy,
     ppx, ppy`` (with ``model`` and ``coeffs``, or ``k1`` and so on), ROS CameraInfo YAML (``K`` or ``k``, with
     ``distortion_model`` and ``D`` or ``d``), OpenCV's FileStorage YAML (``camera_matrix``,
-    ``distortion_coefficients``), NPY, or text holding 3x3 or 4 numbers. Raises InputError for others."""
+    ``distortion_coefficients``), NPY, or text holding 3x3 or 4 numbers; beside these names ``depth_scale``. Raises
+    InputError for others."""
     text = str(source)
     if (numbers := _numbers(text)) is not None:
         return CameraFile(as_K(numbers, f"intrinsics {shown(repr(text))}"))
@@ -80,10 +84,10 @@ def _told(data: Any, name: str | Path) -> CameraFile:
 def camera_of(data: Any, name: str | Path) -> CameraFile:
     """What a table tells of a camera under any of the names that ``read_camera`` knows; ``name``: of it in messages.
     Raises InputError."""
-    data = _inner(data)
+    scale, data = scale_of(data, name), _inner(data)
     K = as_K(_find_intrinsics(data, name), str(name))
     try:
-        return CameraFile(K, _find_distortion(data), _find_size(data), _find_rectified(data))
+        return CameraFile(K, _find_distortion(data), _find_size(data), _find_rectified(data), scale)
     except InputError as error:
         raise InputError(f"{name}: {error}; undistort the images and give fx,fy,cx,cy, or --distortion") from error
     except WRONG as error:
@@ -95,6 +99,17 @@ def tells_of_camera(data: Any) -> bool:
     """Whether a table holds intrinsics, right or wrong."""
     data = _inner(data)
     return isinstance(data, dict) and any(key in data for key in ("intrinsic_matrix", "K", "k", "camera_matrix", "fx"))
+
+
+def scale_of(data: Any, name: str | Path) -> float | None:
+    """Metres per stored integer that a table tells. Open3D and TUM write how many integers are a metre. Raises
+    InputError."""
+    if not isinstance(data, dict) or SCALE not in data:
+        return None
+    told = data[SCALE]
+    if isinstance(told, bool) or not isinstance(told, int | float) or not SCALES[0] <= told <= SCALES[1]:
+        raise InputError(f"{name}: {SCALE} is no number of metres; correct it, or give --depth-scale")
+    return 1 / told if told > 1 else float(told)
 
 
 def _inner(data: Any) -> Any:

@@ -1,6 +1,7 @@
 """Reading depth images, clouds and masks as people have them."""
 
 import io
+from codecs import BOM_UTF8
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -53,9 +54,11 @@ def read_depth(
     return _checked_depth(stored, path, depth_scale, metres_per_integer)
 
 
-def parse_depth(stored: bytes, name: str, depth_scale: float | None = None) -> np.ndarray:
+def parse_depth(
+    stored: bytes, name: str, depth_scale: float | None = None, metres_per_integer: float = MILLIMETRES
+) -> np.ndarray:
     """What ``read_depth`` reads, of a file's bytes; ``name``: of it in messages. Raises InputError."""
-    return _checked_depth(parse_stored(stored, "depth", name), name, depth_scale)
+    return _checked_depth(parse_stored(stored, "depth", name), name, depth_scale, metres_per_integer)
 
 
 def _checked_depth(
@@ -83,7 +86,7 @@ def in_metres(
     their kind becomes 0, for drivers write it where nothing came back. Raises InputError."""
     if depth_scale is not None and not SCALES[0] <= depth_scale <= SCALES[1]:
         raise InputError(f"depth scale {depth_scale:g}: give metres per stored integer, 0.001 for millimetres")
-    stored = stored[..., 0] if stored.ndim == 3 and stored.shape[2] == 1 else stored
+    stored = one_channel(stored)
     if stored.ndim != 2 and stored.shape[-1:] not in ((3,), (4,)):
         raise InputError(f"{stored.dtype} of shape {stored.shape} is no depth image; one has the shape (H, W)")
     if stored.ndim != 2 or stored.dtype == np.uint8:
@@ -105,6 +108,13 @@ def in_metres(
     return metres
 
 
+def one_channel(image: np.ndarray) -> np.ndarray:
+    """(H, W) of an image (H, W, 1) or (1, H, W), as simulators and torch give it; anything else as it is."""
+    if image.ndim != 3 or 1 not in (image.shape[0], image.shape[2]):
+        return image
+    return image[0] if image.shape[0] == 1 else image[..., 0]
+
+
 def read_mask(path: str | Path, mask_id: int | None = None) -> np.ndarray:
     """Mask (H, W) bool of an image, an array or the JSON of a COCO segmentation, as ``as_mask`` takes them; of an image
     with a palette, ``mask_id`` is the number of a colour. Raises InputError."""
@@ -121,12 +131,18 @@ def read_mask(path: str | Path, mask_id: int | None = None) -> np.ndarray:
 
 def parse_mask(stored: bytes, name: str, mask_id: int | None = None) -> np.ndarray:
     """What ``read_mask`` reads, of a file's bytes; ``name``: of it in messages. Raises InputError."""
-    if stored.lstrip()[:1] in (b"{", b"["):
+    if stored.removeprefix(BOM_UTF8).lstrip()[:1] in (b"{", b"["):
         return _checked_mask(parse_json(stored, name), name, mask_id)
     found = _colours_or_labels(lambda mode: parse_stored(stored, "mask", name, mode), mask_id)
     if stored.startswith(JPEG_MAGIC):
         found = _without_loss(found, name, mask_id)
     return _checked_mask(found, name, mask_id)
+
+
+def parse_own_mask(depth: bytes, name: str, mask_id: int | None = None) -> np.ndarray | None:
+    """The mask that a depth image's bytes have in them, as ``holds_mask`` tells of a file. Raises InputError."""
+    found = parse_arrays(depth, name) if depth.startswith(ARRAY_MAGIC) else None
+    return _checked_mask(found["mask"], name, mask_id) if isinstance(found, dict) and "mask" in found else None
 
 
 def _colours_or_labels(read: Callable[[str | None], np.ndarray], mask_id: int | None) -> np.ndarray:
@@ -237,7 +253,7 @@ def _read_ply(path: Path) -> np.ndarray:
 
 def _read_text(path: Path) -> np.ndarray:
     """One point a line, separated by space or commas; '#' starts a comment."""
-    lines = [line.replace(",", " ") for line in read_bytes(path, "cloud_text_bytes").decode("utf-8").splitlines()]
+    lines = [line.replace(",", " ") for line in read_bytes(path, "cloud_text_bytes").decode("utf-8-sig").splitlines()]
     if not any(line.split("#")[0].strip() for line in lines):  # loadtxt would warn on stderr and go on
         raise InputError(f"{path}: holds no points; give lines of x y z")
     return _table(path, lines)

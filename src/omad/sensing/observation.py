@@ -14,6 +14,7 @@ from omad.geometry.lens import Distortion
 from omad.geometry.transforms import MIRROR_X
 
 from .camera_files import as_K
+from .depth_files import one_channel
 from .foreign.cameras import camera_from
 from .foreign.images import depth_from, image_from, points_from
 from .masks import as_mask, odd_mask
@@ -278,9 +279,7 @@ def _numbers(values: Any, name: str) -> np.ndarray:
 
 def _check_depth(depth_m: Any) -> np.ndarray:
     """(H, W) float32, the caller's no longer, with every kind of missing measurement turned into 0."""
-    stored = _numbers(depth_m, "depth")
-    if stored.ndim == 3 and 1 in (stored.shape[0], stored.shape[2]):
-        stored = stored[0] if stored.shape[0] == 1 else stored[..., 0]
+    stored = one_channel(_numbers(depth_m, "depth"))
     if stored.ndim != 2:
         raise InputError(f"depth: expected one channel of shape (H, W), got shape {stored.shape}")
     depth = np.fmax(stored.astype(np.float32, copy=False), 0)  # of NaN and 0, fmax takes 0

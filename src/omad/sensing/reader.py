@@ -104,7 +104,7 @@ class InputReader:
     def _depth(self, file: Path) -> Observation:
         beside = Beside.of(file)
         mask = self._mask(file, beside)
-        depth = read_depth(file, self.depth_scale, beside.depth_scale or MILLIMETRES)
+        depth = read_depth(file, self.depth_scale, self.metres_per_integer(beside.depth_scale))
         color, warnings = self.color if self.color is not None else beside.color, list[str]()
         if isinstance(color, Path):
             color = read_color(_of_its_name(file, color, "colour image", COLOR_FORMATS) if color.is_dir() else color)
@@ -129,17 +129,24 @@ class InputReader:
         if self.mask is None and self.mask_id is not None:
             raise InputError(f"--mask-id {self.mask_id}: tells one of a mask's objects; give --mask, or leave it out")
 
+    def metres_per_integer(self, told: float | None = None) -> float:
+        """Of a depth image of which --depth-scale says nothing; ``told``: what lies beside it tells."""
+        return (self.camera and self.camera.depth_scale) or told or MILLIMETRES
+
     def metres_per_number(self, file: Path) -> float | None:
         """Of a depth image or cloud, where that can be told without its numbers."""
         if is_cloud(file):
             return self.depth_scale or 1.0
         if self.depth_scale is not None or file.suffix.lower() != ".png":
             return self.depth_scale
-        return Beside.of(file).depth_scale or MILLIMETRES
+        return self.metres_per_integer(Beside.of(file).depth_scale)
 
     def _contradicted(self, file: Path, beside: Beside) -> Iterator[str]:
         """Where the options say other than what lies beside the image."""
-        pairs = [("--depth-scale", self.depth_scale, beside.depth_scale, beside.scale_file)]
+        given = self.depth_scale, beside.depth_scale, beside.scale_file
+        pairs: list[tuple[str, float | None, float | None, Path | None]] = [("--depth-scale", *given)]
+        if self.camera is not None and self.depth_scale is None:
+            pairs.append(("the depth_scale of --intrinsics", self.camera.depth_scale, *given[1:]))
         if self.camera is not None and beside.camera is not None:
             focal_lengths = self.camera.K[0, 0], beside.camera.K[0, 0]
             pairs.append(("the focal length of --intrinsics", *focal_lengths, beside.camera_file))
@@ -164,7 +171,7 @@ class InputReader:
         height, width = depth.shape
         if camera.size not in (None, (width, height)):
             told = "x".join(map(str, camera.size)) + "; give --intrinsics of the depth stream at this size"
-            raise InputError(f"is {width}x{height}, but the camera of {told_by} is for {told}")
+            raise InputError(f"the image is {width}x{height}, but the camera of {told_by} is for {told}")
         lens = camera.distortion if self.distortion is None else parse_distortion(self.distortion)
         camera = camera.without_lens() if self.distortion is not None and lens is None else camera
         whole = Camera.from_K(camera.K, width, height, lens)

@@ -114,7 +114,7 @@ class ParquetImages:
         scale = self.reader.depth_scale
         if scale is None and "depth_scale" in values:
             scale = values["depth_scale"].as_py()
-        return self.reader.observe(in_metres(depth, scale), mask, camera)
+        return self.reader.observe(in_metres(depth, scale, self.reader.metres_per_integer()), mask, camera)
 
 
 def _opened(address: str) -> Any:

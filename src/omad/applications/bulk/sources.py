@@ -182,7 +182,8 @@ def _stack(path: Path, depths: np.ndarray, masks: np.ndarray | None, reader: Inp
     def load(index: int) -> Observation:
         mask = reader.mask if masks is None else np.asarray(masks[index])
         assert not isinstance(mask, Path)
-        return reader.observe(in_metres(np.asarray(depths[index]), reader.depth_scale), mask)
+        depth = in_metres(np.asarray(depths[index]), reader.depth_scale, reader.metres_per_integer())
+        return reader.observe(depth, mask)
 
     def after(done: int) -> Iterator[Frame]:
         return (Frame(f"{_text(path)}[{index}]", partial(load, index)) for index in range(done, len(depths)))

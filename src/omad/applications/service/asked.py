@@ -5,10 +5,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any, Self, TypeVar
 
+import numpy as np
+
 from omad.common.errors import InputError, shown
 from omad.objects.category import AUTO
 from omad.sensing.camera_files import parse_camera
-from omad.sensing.depth_files import MILLIMETRES, parse_depth, parse_mask
+from omad.sensing.depth_files import parse_depth, parse_mask, parse_own_mask
 from omad.sensing.observation import Observation
 from omad.sensing.reader import Find, InputReader, parse_numbers
 
@@ -68,30 +70,40 @@ class Asked:
             if name in texts:
                 read[name] = _one_of(name, texts[name], {each: each for each in among})
         if "drop_flying" in texts:
-            read["drop_flying"] = _one_of("drop_flying", texts["drop_flying"], {"true": True, "false": False})
+            read["drop_flying"] = _one_of("drop_flying", texts["drop_flying"].lower(), {"true": True, "false": False})
         if "box" in texts:
             read["box"] = parse_numbers(texts["box"], 4, "box")
-        for name, kind in (("mask_id", int), ("depth_scale", float)):
+        for name, kind, what in (("mask_id", int, "a whole number"), ("depth_scale", float, "a number")):
             if name in texts:
-                read[name] = _number(name, texts[name], kind)
-        if "mask_id" in read and "mask" not in told:
-            raise InputError(f"mask_id {read['mask_id']}: tells one of a mask's objects; give mask, or leave it out")
+                read[name] = _number(name, texts[name], kind, what)
         return cls(told["depth"], mask=told.get("mask"), **read)
 
     def observation(self, find: Find) -> Observation:
         """The object's points; ``find`` cuts it out where nothing tells which it is. Raises InputError."""
         if len(self.depth) < A_NAME and self.depth.isascii() and self.depth.decode().isprintable():
             raise InputError("depth: not readable as an image; send the file itself, with curl as depth=@depth.png")
-        camera = parse_camera(self.intrinsics, "intrinsics")
-        mask = None if self.mask is None else parse_mask(self.mask, "mask", self.mask_id)
-        segment = "plane" if self.segment else None
-        reader = InputReader(camera, None, self.box, segment, self.depth_scale, self.drop_flying, find=find)
-        return reader.observe(parse_depth(self.depth, "depth", self.depth_scale), mask)
+        reader, mask = self._reader(find), self._mask()
+        if mask is None:
+            reader.check_mask_id()
+        return reader.observe(parse_depth(self.depth, "depth", self.depth_scale, reader.metres_per_integer()), mask)
+
+    def _reader(self, find: Find | None = None) -> InputReader:
+        camera, segment = parse_camera(self.intrinsics, "intrinsics"), "plane" if self.segment else None
+        held = {"drop_flying": self.drop_flying, "mask_id": self.mask_id, "find": find}
+        return InputReader(camera, None, self.box, segment, self.depth_scale, **held)
+
+    def _mask(self) -> np.ndarray | None:
+        """That which was sent, or lies in the depth image's file where nothing else says where the object is."""
+        if self.mask is not None:
+            return parse_mask(self.mask, "mask", self.mask_id)
+        told = self.box is not None or self.segment is not None
+        return None if told else parse_own_mask(self.depth, "depth", self.mask_id)
 
     @property
     def metres_per_number(self) -> float | None:
         """Of the image, where that can be told without its numbers."""
-        return self.depth_scale or (MILLIMETRES if self.depth.startswith(PNG_MAGIC) else None)
+        integers = self.depth.startswith(PNG_MAGIC)
+        return self.depth_scale or (self._reader().metres_per_integer() if integers else None)
 
 
 def in_fields(message: str) -> str:
@@ -107,7 +119,7 @@ def in_fields(message: str) -> str:
 
 def _text(name: str, value: bytes) -> str:
     try:
-        return value.decode()
+        return value.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise InputError(f"{name}: is no text; give it as UTF-8") from error
 
@@ -118,8 +130,8 @@ def _one_of(name: str, value: str, known: Mapping[str, T]) -> T:
     return known[value]
 
 
-def _number(name: str, value: str, kind: type) -> Any:
+def _number(name: str, value: str, kind: type, what: str) -> Any:
     try:
         return kind(value)
     except ValueError as error:
-        raise InputError(f"{name} {shown(repr(value))}: give a number") from error
+        raise InputError(f"{name} {shown(repr(value))}: give {what}") from error

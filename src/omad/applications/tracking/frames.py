@@ -146,7 +146,7 @@ def read_truth(path: Path, joints: tuple[str, ...]) -> dict[str, list[float]]:
 def read_rows(path: Path) -> list[list[str]]:
     """Rows of a CSV file. Raises InputError."""
     try:
-        text = read_text(existing(path, "a CSV file")).removeprefix("\ufeff")
+        text = read_text(existing(path, "a CSV file"))
         return list(csv.reader(io.StringIO(text, newline="")))
     except csv.Error as error:
         raise InputError(f"{path}: not readable as CSV; give a text file with commas") from error
