@@ -98,6 +98,23 @@ def test_images_that_do_not_fit_are_named(tmp_path):
 
 
 @needs
+def test_points_are_points_whatever_else_is_given(tmp_path):
+    points = np.ones((60, 3))
+    np.save(tmp_path / "points.npy", points)
+    file = str(tmp_path / "points.npy")
+    np.testing.assert_array_equal(given.read_points(file, "600,600,2,1.5"), points)
+    with pytest.raises(ValueError, match="--mask: is of a depth image"):
+        given.read_points(file, "600,600,2,1.5", file)
+    for kind in ("c16", "U1", [("z", "f4")]):
+        np.save(file, np.zeros((4, 5), kind))
+        with pytest.raises(ValueError, match=r"is no \.npy file of numbers"):
+            given.read_points(file, "600,600,2,1.5")
+    np.save(file, np.ones((4, 5), bool))
+    with pytest.raises(ValueError, match="of bool is no depth image"):
+        given.read_points(file, "600,600,2,1.5")
+
+
+@needs
 def test_what_was_said_of_a_point_first_counts():
     """Of few points each is shown many times, and the network may say something else of it each time."""
     rng = np.random.default_rng(0)

@@ -9,9 +9,12 @@ HOW = "numpy.save writes one: points (N, 3) or a depth image (H, W) in metres, a
 
 def read_points(file: str, intrinsics: str | None = None, mask: str | None = None) -> np.ndarray:
     """(N, 3) metres, camera frame: those in the file, or of the depth image (H, W) there with its ``intrinsics``
-    fx,fy,cx,cy, of which ``mask`` is another file. Raises ValueError that names the option which is wrong."""
+    fx,fy,cx,cy, of which ``mask`` is another file. Points need no intrinsics. Raises ValueError that names the option
+    which is wrong."""
     stored = read_array(file)
-    if stored.shape[1:] == (3,) and intrinsics is None and mask is None:
+    if stored.shape[1:] == (3,):  # no image is so narrow
+        if mask is not None:
+            raise ValueError("--mask: is of a depth image (H, W), and these are points (N, 3); leave it out")
         return stored
     seen = None if mask is None else read_array(mask, f"--mask {mask}: ")
     numbers: list[float] = []
@@ -24,7 +27,10 @@ def read_array(path: str, name: str = "") -> np.ndarray:
     """Of an .npy file; ``name``: with which messages begin. Raises ValueError for what is none, as an .npz."""
     try:
         with open(path, "rb") as file:
-            return np.lib.format.read_array(file, allow_pickle=False)
+            stored = np.lib.format.read_array(file, allow_pickle=False)
+        if stored.dtype.kind not in "biuf":
+            raise ValueError(f"dtype {stored.dtype} is not of numbers")
+        return stored
     except OSError as error:
         raise ValueError(f"{name}cannot be read ({error.strerror}); give an .npy file") from error
     except ValueError as error:
@@ -33,8 +39,8 @@ def read_array(path: str, name: str = "") -> np.ndarray:
 
 def back_projected(depth: np.ndarray, intrinsics: list[float], mask: np.ndarray | None) -> np.ndarray:
     """(N, 3) of a depth image (H, W) in metres; 0 and what is not finite is no measurement. Raises ValueError."""
-    if depth.ndim != 2:
-        raise ValueError(f"depth: shape {depth.shape} is no image's; give (H, W)")
+    if depth.ndim != 2 or depth.dtype.kind == "b":
+        raise ValueError(f"depth: shape {depth.shape} of {depth.dtype} is no depth image's; give numbers (H, W)")
     if len(intrinsics) != 4 or not np.isfinite(intrinsics).all() or min(intrinsics[:2]) <= 0:
         raise ValueError("--intrinsics: give four numbers fx,fy,cx,cy of the image in pixels, the first two positive")
     if mask is not None and mask.shape != depth.shape:
