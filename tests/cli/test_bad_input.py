@@ -369,6 +369,7 @@ def test_pictures_that_cannot_be_written_are_refused_before_the_work(capsys):
     Path("mine").write_text("keep me")
     for command in ("pose", "robustness"):
         assert "mine" in refused(capsys, "eval", command, *LAPTOP, "--pictures", "mine")
+    assert "x.png" in refused(capsys, "train", "prior", *LAPTOP, "--output", "x.png")
 
 
 def test_rows_that_there_are_not_and_options_that_exclude_each_other(capsys):

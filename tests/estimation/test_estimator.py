@@ -251,7 +251,7 @@ def test_without_labels_the_points_are_forgotten(estimator):
     estimate = estimator(observe(some_views(estimator, 1)[0]))
     small = estimate.without_labels()
     assert len(small.part_labels) == 0
-    assert [part["points"] for part in small.to_dict()["parts"]] == [0] * len(estimator.category.parts)
+    assert [part["points"] for part in small.to_dict()["parts"]] == [None] * len(estimator.category.parts)
     assert np.array_equal(small.keypoints, estimate.keypoints)
 
 

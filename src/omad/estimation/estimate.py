@@ -252,7 +252,8 @@ class Estimate(PoseEstimate):
         return None if self.probability is None else self.probability < DOUBTFUL
 
     def without_labels(self) -> Self:
-        """The same without part labels, for which it keeps the observation's points: for who keeps a great many."""
+        """The same without part labels, for which it keeps the observation's points: for who keeps a great many. How
+        many points a part has is null in its JSON then."""
         return replace(self, labelled=LabelledPoints.none())
 
     def initial_pose(self) -> ObjectPose:
@@ -265,8 +266,9 @@ class Estimate(PoseEstimate):
 
     def to_dict(self) -> dict[str, Any]:
         """What ``to_json`` writes, as plain Python values."""
-        counts = np.bincount(self.part_labels[self.part_labels >= 0], minlength=len(self.category.parts))
-        parts = zip(self.category.parts, self.T_camera_part, counts, strict=True)
+        labels, named = self.part_labels, self.category.parts
+        counts = np.bincount(labels[labels >= 0], minlength=len(named)) if len(labels) else [None] * len(named)
+        parts = zip(named, self.T_camera_part, counts, strict=True)
         initial = ("joints", "T_camera_base", "beta")
         return plain(
             {

@@ -11,6 +11,7 @@ from tyro.conf import OmitArgPrefixes
 
 import omad
 from omad.common.errors import InputError
+from omad.common.files import check_folder
 from omad.common.lazy import lazy_imports
 
 from ..answer import Answer
@@ -106,6 +107,7 @@ class _Training:
         if self.variants < 0:
             raise InputError(f"--variants: must be 0 or more, got {self.variants}")
         check_positive(objects=self.objects, variants=self.variants or None)
+        check_folder(self.output)
         schedule = self.schedule.of(preset.schedule)
         processes = self.several.start()
         with processes.heard():
