@@ -22,6 +22,7 @@ from omad.applications.retrieval.large.manifest import Manifest
 from omad.applications.retrieval.large.parts import Portion
 from omad.applications.retrieval.large.stream import _whole_objects
 from omad.applications.retrieval.signature import Signature, Space
+from omad.cli.main import run
 from omad.common.errors import InputError
 from omad.common.processes.locks import only_one
 from omad.model.prior import OmadPrior
@@ -133,6 +134,17 @@ def test_catalogues_are_merged_once(tmp_path, small_parts):
     other = Space.of(OmadPrior(LAPTOP, generator=torch.Generator().manual_seed(1)), LAPTOP, "beta")
     with pytest.raises(InputError, match="other weights"):
         into.merge(ShapeIndex(other), "foreign")
+
+
+def test_what_cannot_be_merged_is_told_before_anything_is(tmp_path, capsys):
+    names = [str(tmp_path / name) for name in ("ours.npz", "foreign.npz")]
+    exact(3).save(names[0])
+    ShapeIndex(Space.of(OmadPrior(LAPTOP), LAPTOP, "whitened")).save(names[1])
+    for said in ("is of other weights or another metric", "no such file"):
+        assert run(["index", "merge", *names, "--output", str(tmp_path / "all")]) == 2
+        assert f"foreign.npz: {said}" in capsys.readouterr().err
+        assert not (tmp_path / "all").exists()
+        Path(names[1]).unlink(missing_ok=True)
 
 
 def test_an_empty_one_answers_nothing(tmp_path):

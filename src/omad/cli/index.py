@@ -179,15 +179,15 @@ class IndexMerge:
     def run(self) -> Answer:
         if not self.indices:
             raise InputError("no catalogue to merge; give at least one")
-        into: LargeIndex | None = None
         if itself := [path for path in self.indices if path.resolve() == self.output.resolve()]:
             raise InputError(f"{itself[0]}: is the catalogue to merge into; leave it out, what is in it stays")
+        space = open_index(self.indices[0]).space
+        for path in self.indices:  # rather now than with some of them merged
+            space.check_same(open_index(path).space, path, self.indices[0])
+        into = LargeIndex.create(self.output, space)
         for path in self.indices:
-            index = open_index(path)
-            into = into or LargeIndex.create(self.output, index.space)
-            into.merge(index, str(path.absolute()))
-        entries = 0 if into is None else len(into)
-        return Answer({"index": str(self.output), "merged": [*map(str, self.indices)], "entries": entries})
+            into.merge(open_index(path), str(path.absolute()))
+        return Answer({"index": str(self.output), "merged": [*map(str, self.indices)], "entries": len(into)})
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -3,6 +3,7 @@
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Literal, Self, get_args
 
 import numpy as np
@@ -100,6 +101,11 @@ class Space:
             both = f"the signature is of prior {prior}, the index of prior {self.prior} ({self.category})"
             cure = "use the weights that made the index, or build it anew"
             raise InputError(f"{both}: their betas do not compare; {cure}")
+
+    def check_same(self, other: Self, source: str | Path, place: str | Path) -> None:
+        """Raises InputError where that of a catalogue at ``source`` is another one than this, of that at ``place``."""
+        if not np.array_equal(other.factor, self.factor) or other.prior != self.prior:
+            raise InputError(f"{source}: is of other weights or another metric than {place}; build it anew")
 
 
 def prior_fingerprint(prior: OmadPrior, category: Category) -> str:

@@ -153,8 +153,7 @@ class LargeIndex:
     def merge(self, other: ShapeIndex | LargeIndex, source: str) -> None:
         """Add the entries of another catalogue, called ``source``, but for those that are in. Raises InputError where
         it is of another space."""
-        if not np.array_equal(other.space.factor, self.space.factor) or other.space.prior != self.space.prior:
-            raise InputError(f"{source}: is of other weights or another metric than {self.folder}; build it anew")
+        self.space.check_same(other.space, source, self.folder)
         self.add(_portions_of(other, self.taken(source)), source)
 
     def _add_part(self, portions: list[Portion], source: str) -> None:
