@@ -169,6 +169,7 @@ def test_crops() -> None:
     refused("outside", "64x48", box=(70, 0, 80, 20))
     refused("x1 < x2", box=(30, 0, 20, 20))
     refused("in whole pixels", "0.1,0.2,0.5,0.6", box=(0.1, 0.2, 0.5, 0.6))
+    refused("in whole pixels", "0.1,0.1,0.9,0.9", box=(0.1, 0.1, 0.9, 0.9))
     refused("mask", "read the file", "read_mask", mask="mask.png")
     refused("x1, y1, x2, y2", box=(1, 2, 3))
     refused("x1, y1, x2, y2", box=(1, 2, 3, float("nan")))

@@ -354,7 +354,7 @@ def region_of(shape: tuple[int, ...], mask: np.ndarray | None, box: Sequence[flo
     if box is not None:
         corners = numbers(box, 4, what="box: x1, y1, x2, y2 in pixels")
         x1, y1, x2, y2 = np.rint(corners).astype(int)
-        if x1 >= x2 or y1 >= y2:
+        if x1 >= x2 or y1 >= y2 or corners.max() <= 1:  # shares of the image
             got = ",".join(f"{corner:g}" for corner in corners)
             raise InputError(f"box: x1 < x2 and y1 < y2 are needed, in whole pixels, got {got}")
         if x1 >= width or y1 >= height or x2 <= 0 or y2 <= 0:
