@@ -13,7 +13,7 @@ class Clutter:
     """Shares are of the views that are spoilt at all; each spoil is drawn by itself, so that they come together.
     Pixels are those of the standard camera, lengths in category units unless they say otherwise."""
 
-    clean: float = 0.3
+    clean: float = 0.2
     """Share of views that nothing is done to."""
     surrounded: float = 0.55
     """Share whose mask reaches beyond the object, onto what lies behind it."""
@@ -37,11 +37,11 @@ class Clutter:
     """Its share of the object's picture."""
     wrong: Range = (0.08, 0.8)
     """How far it is off."""
-    occluded: float = 0.4
+    occluded: float = 0.7
     """Share with something in front: a rectangle, a bar or an edge beyond which nothing is seen."""
     rim: float = 0.6
     """Share of those where its rim, seldom all of it, is left in the mask."""
-    cut: float = 0.3
+    cut: float = 0.4
     """Share that the image border cuts through; less than half of the object is cut off."""
     blobs: float = 0.2
     """Share with large blobs without measurement."""
