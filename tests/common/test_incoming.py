@@ -147,11 +147,16 @@ def test_paths_of_any_kind(name):
             read(name)
 
 
-@pytest.mark.parametrize("text", ["[" * 100_000, "{", "[NaN]", "", "\ufeff{}", '{"a": ' + "9" * 5000 + "}"])
+@pytest.mark.parametrize("text", ["[" * 100_000, "{", "[NaN]", "", '{"a": ' + "9" * 5000 + "}"])
 def test_broken_json_is_named(text):
     Path("a.json").write_text(text, encoding="utf-8")
     with pytest.raises(InputError, match=r"a\.json: not readable as JSON.*; mend it"):
         read_json(Path("a.json"), "mend it")
+
+
+def test_json_may_begin_with_a_byte_order_mark():
+    Path("a.json").write_text('\ufeff{"a": 1}', encoding="utf-8")
+    assert read_json(Path("a.json"), "mend it") == {"a": 1}
 
 
 def test_text_beyond_its_limit_is_not_read(small):
