@@ -163,9 +163,9 @@ def test_a_cloud_has_no_box() -> None:
 class Nowhere(omad.Estimator):
     """Whose answers are no numbers, as of clouds far larger than the category."""
 
-    def __call__(self, *observed):
+    def first_answers(self, *observed):
         lost = np.full((self.category.num_keypoints, 3), np.nan)
-        return [replace(found, keypoints=lost, canonical_keypoints=lost) for found in super().__call__(*observed)]
+        return [replace(found, keypoints=lost, canonical_keypoints=lost) for found in super().first_answers(*observed)]
 
 
 def test_an_answer_without_numbers_is_no_candidate() -> None:

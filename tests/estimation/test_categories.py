@@ -165,8 +165,8 @@ def test_a_category_without_an_answer_is_not_ranked():
     class Lost:
         net, category = other.net, other.category
 
-        def __call__(self, *_):
-            return lost
+        def first_answers(self, *_):
+            return [lost]
 
     ranking = rank(observation, [Lost(), laptop()], always=["dishwasher"])
     assert [candidate.estimate.category.name for candidate in ranking.candidates] == ["laptop"]

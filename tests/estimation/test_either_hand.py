@@ -16,6 +16,7 @@ from omad.data.source import load_models
 from omad.data.urdf_import.folder import import_with_notes
 from omad.estimation.estimator import Estimator
 from omad.estimation.known import Known
+from omad.estimation.looks.beginning import ANYWHERE
 from omad.estimation.looks.either_hand import surer_hands, told
 from omad.evaluation.evaluate import true_pose
 from omad.evaluation.metrics import pose_errors
@@ -108,7 +109,7 @@ def test_an_answer_in_the_mirror_is_consistent_and_mirrored_back_the_same(estima
 def test_either_hand_answers_are_right(estimator, views):
     for view in views:
         [plain], [image] = (
-            estimator._of_one_hand([observation], Known(), None, None)
+            estimator._of_one_hand([observation], Known(), ANYWHERE)
             for observation in (view.observation(), view.observation().mirrored())
         )
         truth, boxes = true_pose(view, DISHWASHER), view.truth.part_boxes

@@ -1,15 +1,20 @@
-"""Views that the network is unsure of are looked at from turned frames, too; no other view, and only for the better."""
+"""Views that the network is unsure of, and those with improbable answers, are looked at from turned frames, too; no
+other view, and only for the better."""
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
+from scipy.special import logit
 
 from helpers.categories import LAPTOP
+from omad.data.procedural import generate
 from omad.data.rendering.spoils.spoiling import spoilt
-from omad.data.rendering.standard_views import observe_all
+from omad.data.rendering.standard_views import observe_all, standard_view
 from omad.data.source import load_views
 from omad.estimation import estimator as module
 from omad.estimation.estimate import Estimate
-from omad.estimation.estimator import Estimator
+from omad.estimation.estimator import Estimator, EstimatorConfig
+from omad.estimation.looks.improbable import CLEARLY, is_improbable, turned_frames
 from omad.evaluation.robustness.experiment import scenes_from
 from omad.evaluation.robustness.rows import ROWS
 
@@ -26,10 +31,10 @@ def test_unsure_views_alone_change_and_become_surer(monkeypatch):
     scenes = scenes_from(load_views("procedural", LAPTOP, 10, 40, 0, "off", "refuse"), LAPTOP, 0)
     views = [spoilt(scene, row).view for index in range(40) if (scene := scenes(index, row.staging)) is not None]
     seen = list(observe_all(views).values())
-    after = laptop(seen)
+    after = laptop.first_answers(seen)
     sure = 0.95 * module.UNSURE  # the network rounds differently with others beside
     monkeypatch.setattr(module, "UNSURE", np.inf)
-    before = laptop(seen)
+    before = laptop.first_answers(seen)
     changed = 0
     for once, again in zip(before, after, strict=True):
         if expected_error(once) <= sure:
@@ -38,3 +43,36 @@ def test_unsure_views_alone_change_and_become_surer(monkeypatch):
             changed += 1
             assert expected_error(again) < expected_error(once)
     assert 0 < changed < 0.4 * len(seen)
+
+
+@pytest.mark.slow
+def test_improbable_answers_alone_are_compared_and_give_way_to_clearly_likelier_ones():
+    dishwasher, row = Estimator.from_pretrained("dishwasher"), ROWS["around"].spoil
+    category = dishwasher.category
+    scenes = scenes_from(load_views("procedural", category, 10, 60, 0, "off", "refuse"), category, 0)
+    views = [spoilt(scene, row).view for index in range(60) if (scene := scenes(index, row.staging)) is not None]
+    seen = list(observe_all(views).values())
+    before = dishwasher.first_answers(seen)
+    after = dishwasher.reconsidered(seen, before)
+    changed = 0
+    for once, again in zip(before, after, strict=True):
+        if not is_improbable(once):
+            assert again is once
+        elif not np.array_equal(again.keypoints, once.keypoints):
+            changed += 1
+            assert logit(again.probability) > logit(once.probability) + CLEARLY
+        if is_improbable(once):
+            assert again.seconds["network"] > once.seconds["network"]
+    assert 0 < changed < 0.4 * len(seen)
+    fast = Estimator(dishwasher.net, EstimatorConfig.fast())
+    assert fast.reconsidered(seen, before) == before
+
+
+def test_other_answers_begin_a_quarter_half_and_three_quarters_round():
+    view = standard_view(generate(LAPTOP, 0, "test"), LAPTOP, (0, 0))
+    estimate = Estimator.from_pretrained("laptop")(view.observation())
+    upright = estimate.T_camera_base[:3, 1]
+    for quarters, frame in enumerate(turned_frames(estimate), 1):
+        turn = Rotation.from_rotvec(quarters * np.pi / 2 * upright).as_matrix()
+        np.testing.assert_allclose(frame[:3, :3], turn @ estimate.T_camera_base[:3, :3], atol=1e-6)
+        np.testing.assert_allclose(frame[:3, 3], estimate.T_camera_base[:3, 3])

@@ -86,11 +86,12 @@ class Solver:
             if not ranking.candidates:
                 raise InputError("is of none of the categories, at no size; check depth scale, mask and intrinsics")
             first = ranking.candidates[0]
-            best = no_surer(first.estimate, min(first.probability, observation.likelihood))
+            own = next(one for one in self.all if one.category.name == first.estimate.category.name)
+            [answer] = own.reconsidered([observation], [first.estimate], self.known)
+            best = no_surer(answer, min(first.probability, observation.likelihood))
             checks = doubts(observation, best, depth_scale)
             if further:
-                own = next(one for one in self.all if one.category.name == best.category.name)
-                checks += self._told_by_others(observation, first.estimate, checks, own)
+                checks += self._told_by_others(observation, answer, checks, own)
             return Found.of(best, checks, ranking, ranking.is_none)
         return self.judged(observation, self.chosen(observation, self.known), depth_scale, further)
 
@@ -101,7 +102,7 @@ class Solver:
         with other focal lengths."""
         checks = gravity_doubts(observation, estimate, self.known, estimator)
         if all(check.name == "residual" for check in (*found, *checks)):  # which a wrong focal length may explain, too
-            checks += camera_doubts(observation, estimate, lambda views: estimator(views, self.known))
+            checks += camera_doubts(observation, estimate, lambda views: estimator.first_answers(views, self.known))
         return checks
 
     def judged(

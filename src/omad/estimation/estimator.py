@@ -5,6 +5,7 @@
 
 Where the first look finds other things than the object, all choices are labelled, and it is repeated without them.
 Where the last look is unsure, it may have begun the wrong way round: others begin in turned frames, the surest counts.
+So they do where the answer is improbable; then the most probable counts.
 
 Each look shows the network a few random choices of the points, every second of them in a mirror where objects are
 their own mirror images, and averages what it says, by confidence.
@@ -12,7 +13,6 @@ their own mirror images, and averages what it says, by confidence.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from itertools import accumulate
 from numbers import Integral
 from pathlib import Path
@@ -22,14 +22,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from omad.common.arrays import as_doubles, as_numpy
+from omad.common.arrays import as_numpy
 from omad.common.errors import InputError
 from omad.common.runtime import Stopwatch, pick_device, undisturbed, work_in_forks
 from omad.geometry.transforms import transform_points
 from omad.model.checkpoint import find_weights, load
 from omad.model.fitting.energy import RefinementConfig
 from omad.model.fitting.leaning import leaning
-from omad.model.fitting.posed_object import Poser
 from omad.model.fitting.refinement import Refiner
 from omad.model.fitting.state import Refined, State, Targets
 from omad.model.inference.network import inference_net
@@ -40,12 +39,13 @@ from omad.objects.category import Category
 from omad.sensing.observation import Observation
 
 from .ahead import compile_ahead
-from .checks import network_doubts, size_doubts
 from .confidence.model import Confidence
-from .confidence.signals import Meter, Signals
 from .estimate import Estimate, PoseEstimate
 from .known import NOTHING_KNOWN, Known, Near, check_known
+from .looks.answers import Answers, state_std
+from .looks.beginning import ANYWHERE, Beginning
 from .looks.either_hand import surer_hands
+from .looks.improbable import is_improbable, likelier, turned_frames
 from .looks.look import Look, put_rows, rows_of
 from .looks.mirror import Mirror
 from .looks.shown import Shown, check_observations
@@ -74,6 +74,8 @@ class EstimatorConfig:
     """Which points are chosen; the same observation and seed give the same estimate."""
     batch: int = 128
     """Observations that go through the network together."""
+    reconsiders: bool = True
+    """Whether improbable answers are compared with others."""
 
     def __post_init__(self) -> None:
         samples = tuple(self.samples) if isinstance(self.samples, tuple | list) else ()
@@ -87,7 +89,7 @@ class EstimatorConfig:
     @classmethod
     def fast(cls) -> Self:
         """Half the passes of the network, for about a tenth of the accuracy; ``docs/speed.md`` has the figures."""
-        return cls(samples=(1, 1), near_samples=1)
+        return cls(samples=(1, 1), near_samples=1, reconsiders=False)
 
 
 class Estimator:
@@ -110,12 +112,11 @@ class Estimator:
         self.net = net.to(self.device).eval()
         self._forward = inference_net(self.net)
         self.config = config or EstimatorConfig()
-        self.refine, self.confidence, self.surfaces = refine, confidence, surfaces
+        self.refine = refine
         self.hand = () if confidence is None else confidence.hand
-        self.asks_front = confidence is not None and confidence.asks_front
         mirror = Mirror.of(net.category, net.tells_outside)
         self._mirror = mirror and mirror.to(self.device)
-        self._meter = Meter(net.category, net.prior)
+        self.answers = Answers(net.category, net.prior, confidence, surfaces)
         self._kept: dict[int, Refiner] = {}
 
     @classmethod
@@ -142,6 +143,11 @@ class Estimator:
         """What it estimates."""
         return self.net.category
 
+    @property
+    def surfaces(self) -> Surfaces | None:
+        """Where its estimates' meshes come from."""
+        return self.answers.surfaces
+
     @overload
     def __call__(self, observation: Observation, known: Known = NOTHING_KNOWN) -> Estimate: ...
     @overload
@@ -159,21 +165,37 @@ class Estimator:
         if T_world_camera is not None:
             return self._together(observation, known, T_world_camera)
         if isinstance(observation, Observation):
-            check_observations([observation])
-            return self._estimate([observation], known)[0]
-        size, views = self.config.batch, check_observations(observation)
+            return self([observation], known)[0]
+        return self.reconsidered(observation, self.first_answers(observation, known), known)
+
+    def first_answers(self, observations: Sequence[Observation], known: Known = NOTHING_KNOWN) -> list[Estimate]:
+        """The same before improbable answers are compared with others: for what is compared with other categories'."""
+        size, views = self.config.batch, check_observations(observations)
         return [e for i in range(0, len(views), size) for e in self._estimate(views[i : i + size], known)]
+
+    def reconsidered(
+        self, observations: Sequence[Observation], estimates: Sequence[Estimate], known: Known = NOTHING_KNOWN
+    ) -> list[Estimate]:
+        """First answers; an improbable one is compared with others to the same observation, which take three times as
+        long as it did."""
+        found = list(estimates)
+        for i, estimate in enumerate(estimates if self.config.reconsiders else ()):
+            if is_improbable(estimate):
+                frames = turned_frames(estimate)
+                others = self._estimate([observations[i]] * len(frames), known, Beginning(frames=frames))
+                found[i] = likelier(estimate, others)
+        return found
 
     def near(self, observation: Observation, near: Near, known: Known = NOTHING_KNOWN) -> Estimate:
         """Estimate an object that was seen before, a moment ago say: one look is enough, which takes half the time."""
         check_observations([observation])
-        return self._estimate([observation], known, near)[0]
+        return self._estimate([observation], known, Beginning(near))[0]
 
     def moved(self, estimate: Estimate, state: Near, covariance: np.ndarray) -> Estimate:
         """The answer with another shape, pose and joint states, those of a filter say; ``covariance`` (P, P) theirs."""
         turned = state.mirrored() if estimate.of_other_hand else state
-        posed = self._posed(turned.start(self.category, self.net.prior.learned_basis))
-        std = _state_std(covariance[None], self.category)
+        posed = self.answers.posed(turned.start(self.category, self.net.prior.learned_basis))
+        std = state_std(covariance[None], self.category)
         [moved] = PoseEstimate.of(self.category, posed, std, np.ones_like(std))
         moved = moved.mirrored(self.category.turning) if estimate.of_other_hand else moved
         return replace(estimate, **vars(moved), covariance=covariance)
@@ -185,43 +207,36 @@ class Estimator:
         T = relative_poses(poses, len(views))
         alone = [self._estimate([view], own)[0] for view, own in zip(views, known.seen_from(T), strict=True)]
         rig = Rig.of(T, alone, self.net.prior.learned_basis)
-        return one_answer(self._estimate(views, known, rig=rig), alone) if len(views) > 1 else alone
-
-    @cached_property
-    def _posed(self) -> Poser:
-        return Poser(self.net.prior, self.category)
+        return one_answer(self._estimate(views, known, Beginning(rig=rig)), alone) if len(views) > 1 else alone
 
     def _estimate(
-        self, observations: Sequence[Observation], known: Known, near: Near | None = None, rig: Rig | None = None
+        self, observations: Sequence[Observation], known: Known, begin: Beginning = ANYWHERE
     ) -> list[Estimate]:
-        """``rig``: of the cameras of all observations, where these are views of one object at one moment."""
         check_known(known, self.category, self.net.prior.basis_size)
         if not self.category.either_hand:
-            return self._of_one_hand(observations, known, near, rig)
-        plain, images = self.of_each_hand(observations, known, near, rig)
-        return surer_hands(plain, images, self.hand, rig is not None, known.mirrored_probability)
+            return self._of_one_hand(observations, known, begin)
+        plain, images = self.of_each_hand(observations, known, begin)
+        return surer_hands(plain, images, self.hand, begin.rig is not None, known.mirrored_probability)
 
     def of_each_hand(
-        self, observations: Sequence[Observation], known: Known, near: Near | None = None, rig: Rig | None = None
+        self, observations: Sequence[Observation], known: Known, begin: Beginning = ANYWHERE
     ) -> tuple[list[Estimate], list[Estimate]]:
         """Answers to the views, and to what they show in a mirror, where objects of the other hand are of the
         category's; the latter still in the mirror."""
         seen = [observation.mirrored() for observation in observations]
-        elsewhere = None if near is None else near.mirrored(), None if rig is None else rig.mirrored()
-        images = self._of_one_hand(seen, known.mirrored(), *elsewhere)
-        return self._of_one_hand(observations, known, near, rig), images
+        images = self._of_one_hand(seen, known.mirrored(), begin.mirrored())
+        return self._of_one_hand(observations, known, begin), images
 
     @undisturbed()
-    def _of_one_hand(
-        self, observations: Sequence[Observation], known: Known, near: Near | None, rig: Rig | None
-    ) -> list[Estimate]:
-        config, watch = self.config, Stopwatch(self.device)
+    def _of_one_hand(self, observations: Sequence[Observation], known: Known, begin: Beginning) -> list[Estimate]:
+        config, watch, near, rig = self.config, Stopwatch(self.device), begin.near, begin.rig
         looks = config.samples if near is None else (config.near_samples,)
         size = self.net.backbone.config.points
         shown = Shown.of(observations, size, sum(looks), config.seed, self.category, self.device)
         start = None if near is None else near.start(self.category, shown.clouds)
         level = known.levelling(shown.clouds, None if rig is None else rig.T_first_camera)
-        frame = first_frame(shown.clouds.flatten(1, 2)) @ level if start is None else start.T_camera_base
+        given = begin.T_camera_base(self.category, shown.clouds)
+        frame = first_frame(shown.clouds.flatten(1, 2)) @ level if given is None else given
         labels, crowd = self.net.tells_outside, None
         seen = [self._look(shown.clouds[:, : looks[0]], frame, labels or len(looks) == 1)]
         if labels and (crowded := shown.crowded(as_numpy(seen[0].part_logits))):
@@ -229,7 +244,7 @@ class Estimator:
             said = self._look(shown.clouds[rows], frame[rows], labels=True).part_logits
             cleaned = shown.without_outside(crowded, as_numpy(said), config.seed)
             clouds = cleaned.clouds[rows]
-            again = first_frame(clouds.flatten(1, 2)) @ level[rows] if start is None else frame[rows]
+            again = first_frame(clouds.flatten(1, 2)) @ level[rows] if given is None else given[rows]
             look = self._look(clouds[:, : looks[0]], again, labels=True)
             # what is said of single points may be wrong: then the object is seen less surely without them
             surer = torch.nonzero(look.expected_error < seen[0].of(rows).expected_error)[:, 0]
@@ -247,7 +262,7 @@ class Estimator:
             watch.lap("network")
             refined = self._refine(seen[-1], start, known, near, rig)
             watch.lap("refinement")
-        if near is None and rig is None:
+        if begin.is_anywhere:
             if crowd is not None and len(looks) > 1:
                 shown = self._look_at_crowd(crowd, with_crowd, rows, shown, seen[-1], refined, known)
             self._look_turned(shown, seen[-1], refined, known)
@@ -255,7 +270,7 @@ class Estimator:
         if self.net.own_states and known.is_nothing and rig is None:
             own, prior = seen[-1].state.joint_states, self.net.prior
             refined = leaning(refined, own, self.net.own_states, prior, seen[-1].targets)
-        return self._answers(shown, seen, refined, watch.shares(len(observations)))
+        return self.answers(shown, seen, refined, watch.shares(len(observations)))
 
     def _look_at_crowd(
         self, crowd: Shown, first: Look, rows: Tensor, shown: Shown, last: Look, refined: Refined, known: Known
@@ -340,61 +355,3 @@ class Estimator:
         if known.is_nothing:
             self._kept[views] = refiner
         return refiner
-
-    def _answers(
-        self, shown: Shown, looks: Sequence[Look], refined: Refined, seconds: dict[str, float]
-    ) -> list[Estimate]:
-        category, unit, joints = self.category, self.category.metres_per_unit, len(self.category.joints)
-        # from the refinement's unknowns to metres, radians and beta
-        scale = np.concatenate([np.ones(3), np.full(3, unit), category.state_units, np.ones(self.net.prior.basis_size)])
-        covariance = as_doubles(refined.covariance) * (scale[:, None] * scale)
-        # the fit's answers and the network's own, whose deviations are not known
-        rows, last = torch.cat([refined.state.pack(), looks[0].state.pack()]), looks[-1]
-        posed = self._posed(State.unpack(rows, joints))
-        batch = len(posed) // 2
-        clouds = shown.clouds[:, -last.samples :]
-        answers = last.frame, last.said, last.targets, refined, posed[:batch]
-        signals = self._meter(shown.observations, clouds, *answers, self.asks_front)
-        std, tail, probability = self._judged(signals, _state_std(covariance, category))
-        final = PoseEstimate.of(category, posed[:batch], std, tail)
-        initial = PoseEstimate.of(category, posed[batch:], np.full_like(std, np.nan), np.ones_like(std))
-        converged, residual = refined.converged.tolist(), (refined.residual * unit).tolist()
-        keypoint_std = unit / np.sqrt(as_doubles(last.targets.weights))
-        observed = as_doubles(last.targets.keypoints) * unit
-        logits, own_signals = as_numpy(last.part_logits), signals.rows()
-        estimates = []
-        for b, observation in enumerate(shown.observations):
-            doubts = [*size_doubts(observation, category), *network_doubts(keypoint_std[b], category)]
-            estimates.append(
-                Estimate(
-                    **vars(final[b]),
-                    category=category,
-                    observed_keypoints=observed[b],
-                    keypoint_std=keypoint_std[b],
-                    covariance=covariance[b],
-                    converged=converged[b],
-                    residual=residual[b],
-                    labelled=shown.labelled(b, logits[b]),
-                    initial=initial[b],
-                    signals=own_signals[b],
-                    probability=probability[b],
-                    seconds=dict(seconds),
-                    warnings=(*observation.warnings, *map(str, doubts)),
-                    surfaces=self.surfaces,
-                )
-            )
-        return estimates
-
-    def _judged(self, signals: Signals, std: np.ndarray) -> tuple[np.ndarray, np.ndarray, list[float] | list[None]]:
-        """``state_std`` (B, J), ``tail`` (B, J) and ``probability`` of B answers whose joint states have the standard
-        deviations ``std`` (B, J) by least squares; those that were held fixed keep their zero."""
-        if self.confidence is None:
-            return std, np.ones_like(std), [None] * len(std)
-        found, tail = self.confidence.spreads(signals, self.category)
-        return np.where(std == 0, 0.0, found), tail, self.confidence.probabilities(signals).tolist()
-
-
-def _state_std(covariance: np.ndarray, category: Category) -> np.ndarray:
-    """(B, J) of covariances (B, P, P)."""
-    variance = covariance.diagonal(axis1=1, axis2=2)[:, 6 : 6 + len(category.joints)]
-    return np.sqrt(np.clip(variance, 0, None))

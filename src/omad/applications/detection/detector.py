@@ -202,19 +202,20 @@ class Detector:
         estimates: list[dict[str, Estimate]] = [{} for _ in seen]
         for estimator, name in zip(self.estimators, names, strict=True):
             rows = [i for i, few in enumerate(chosen) if name in few]
-            found = estimator([steady[i] for i in rows]) if rows else []
+            found = estimator.first_answers([steady[i] for i in rows]) if rows else []
             for i, estimate in zip(rows, found, strict=True):
                 if not estimate.is_finite:  # no candidate at all
                     continue
                 evidence[i][name] = against(steady[i], estimate, estimator.net.prior, planes, proposals[i].doubt(name))
                 estimates[i][name] = estimate
         detections = []
-        for thing, before, candidates in zip(seen, evidence, estimates, strict=True):
+        by_name = dict(zip(names, self.estimators, strict=True))
+        for thing, shown, before, candidates in zip(seen, steady, evidence, estimates, strict=True):
             numbers = self.judgement.with_fronts(before, candidates)
             probabilities = self.judgement.probabilities(numbers)
             best = max(candidates, key=lambda name: probabilities[name], default=None)
             sure = best is not None and probabilities[best] >= SURE
-            estimate = candidates[best] if best is not None and sure else None
+            estimate = by_name[best].reconsidered([shown], [candidates[best]])[0] if best is not None and sure else None
             detections.append(Detection(thing, probabilities, estimate, numbers))
         return sorted(detections, key=lambda found: (found.category is None, -found.probability))
 

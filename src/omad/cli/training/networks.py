@@ -185,7 +185,7 @@ class TrainSurface:
         record: dict[str, Any] = {}
         if unseen is not None:
             models = load_models(unseen, net.category, self.views, "train", UNSEEN).models
-            estimator.surfaces = Surfaces(estimator.net.prior, net.category, lambda: bank)
+            estimator.answers.surfaces = Surfaces(estimator.net.prior, net.category, lambda: bank)
             shares = measured_shares(estimator, models, self.views, seed=0)
             if shares is not None:
                 follows = follows_better(estimator, bank, models, self.views // 2, seed=0)
@@ -331,7 +331,7 @@ class TrainConfidence(CategoryCommand):
         net = load(OmadNet, folder)
         self.check_weights(net.category)
         estimator = omad.Estimator(net, device=pick_device(self.device))  # what it may know of its errors is of before
-        estimator.asks_front, category = True, net.category
+        estimator.answers.asks_front, category = True, net.category
         models = load_models(self.source, category, self.objects, "train", UNSEEN).models
         if category.either_hand:
             estimator.hand = fit_hand(estimator, models, 2 * self.views, self.seed + 1)

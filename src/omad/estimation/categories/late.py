@@ -61,6 +61,16 @@ class LateEstimator:
         """As ``Estimator`` does."""
         return self.loaded(observation, known)
 
+    def first_answers(self, observations: Sequence[Observation], known: Known = NOTHING_KNOWN) -> list[Estimate]:
+        """As ``Estimator`` has them."""
+        return self.loaded.first_answers(observations, known)
+
+    def reconsidered(
+        self, observations: Sequence[Observation], estimates: Sequence[Estimate], known: Known = NOTHING_KNOWN
+    ) -> list[Estimate]:
+        """As ``Estimator`` does."""
+        return self.loaded.reconsidered(observations, estimates, known)
+
 
 AnyEstimator: TypeAlias = Estimator | LateEstimator
 

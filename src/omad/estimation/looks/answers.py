@@ -1,0 +1,96 @@
+"""From the fit to what a caller gets: metres, radians, and how sure each number is."""
+
+from collections.abc import Sequence
+from functools import cached_property
+
+import numpy as np
+import torch
+
+from omad.common.arrays import as_doubles, as_numpy
+from omad.model.fitting.posed_object import Poser
+from omad.model.fitting.state import Refined, State
+from omad.model.prior import OmadPrior
+from omad.model.surfaces.surfaces import Surfaces
+from omad.objects.category import Category
+
+from ..checks import network_doubts, size_doubts
+from ..confidence.model import Confidence
+from ..confidence.signals import Meter, Signals
+from ..estimate import Estimate, PoseEstimate
+from .look import Look
+from .shown import Shown
+
+
+class Answers:
+    """Of one category's objects, as a prior has them."""
+
+    def __init__(
+        self, category: Category, prior: OmadPrior, confidence: Confidence | None, surfaces: Surfaces | None
+    ) -> None:
+        self._category, self._prior, self._confidence, self.surfaces = category, prior, confidence, surfaces
+        self.asks_front = confidence is not None and confidence.asks_front
+        self._meter = Meter(category, prior)
+
+    @cached_property
+    def posed(self) -> Poser:
+        """Puts objects where states say."""
+        return Poser(self._prior, self._category)
+
+    def __call__(
+        self, shown: Shown, looks: Sequence[Look], refined: Refined, seconds: dict[str, float]
+    ) -> list[Estimate]:
+        """To B observations that were ``shown``, of which the ``looks`` were taken, the last ones' targets fitted."""
+        category, unit, joints = self._category, self._category.metres_per_unit, len(self._category.joints)
+        # from the refinement's unknowns to metres, radians and beta
+        scale = np.concatenate([np.ones(3), np.full(3, unit), category.state_units, np.ones(self._prior.basis_size)])
+        covariance = as_doubles(refined.covariance) * (scale[:, None] * scale)
+        # the fit's answers and the network's own, whose deviations are not known
+        rows, last = torch.cat([refined.state.pack(), looks[0].state.pack()]), looks[-1]
+        posed = self.posed(State.unpack(rows, joints))
+        batch = len(posed) // 2
+        clouds = shown.clouds[:, -last.samples :]
+        answers = last.frame, last.said, last.targets, refined, posed[:batch]
+        signals = self._meter(shown.observations, clouds, *answers, self.asks_front)
+        std, tail, probability = self._judged(signals, state_std(covariance, category))
+        final = PoseEstimate.of(category, posed[:batch], std, tail)
+        initial = PoseEstimate.of(category, posed[batch:], np.full_like(std, np.nan), np.ones_like(std))
+        converged, residual = refined.converged.tolist(), (refined.residual * unit).tolist()
+        keypoint_std = unit / np.sqrt(as_doubles(last.targets.weights))
+        observed = as_doubles(last.targets.keypoints) * unit
+        logits, own_signals = as_numpy(last.part_logits), signals.rows()
+        estimates = []
+        for b, observation in enumerate(shown.observations):
+            doubts = [*size_doubts(observation, category), *network_doubts(keypoint_std[b], category)]
+            estimates.append(
+                Estimate(
+                    **vars(final[b]),
+                    category=category,
+                    observed_keypoints=observed[b],
+                    keypoint_std=keypoint_std[b],
+                    covariance=covariance[b],
+                    converged=converged[b],
+                    residual=residual[b],
+                    labelled=shown.labelled(b, logits[b]),
+                    initial=initial[b],
+                    signals=own_signals[b],
+                    probability=probability[b],
+                    seconds=dict(seconds),
+                    warnings=(*observation.warnings, *map(str, doubts)),
+                    surfaces=self.surfaces,
+                )
+            )
+        return estimates
+
+    def _judged(self, signals: Signals, std: np.ndarray) -> tuple[np.ndarray, np.ndarray, list[float] | list[None]]:
+        """``state_std`` (B, J), ``tail`` (B, J) and ``probability`` of B answers whose joint states have the standard
+        deviations ``std`` (B, J) by least squares; those that were held fixed keep their zero."""
+        if self._confidence is None:
+            return std, np.ones_like(std), [None] * len(std)
+        found, tail = self._confidence.spreads(signals, self._category)
+        return np.where(std == 0, 0.0, found), tail, self._confidence.probabilities(signals).tolist()
+
+
+def state_std(covariance: np.ndarray, category: Category) -> np.ndarray:
+    """(B, J) of covariances (B, P, P)."""
+    variance = covariance.diagonal(axis1=1, axis2=2)[:, 6 : 6 + len(category.joints)]
+    return np.sqrt(np.clip(variance, 0, None))
