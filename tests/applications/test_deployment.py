@@ -59,12 +59,14 @@ def test_what_is_no_array_is_said_in_one_line(more, tmp_path, monkeypatch, capsy
 
 
 @needs
-def test_zeros_are_no_points_and_millimetres_are_refused(monkeypatch):
+def test_zeros_and_what_is_not_finite_are_no_points_and_millimetres_are_refused(monkeypatch):
     program = object.__new__(program_file.Program)
     program.numbers = {"least_points": 50, "either_hand": False}
     monkeypatch.setattr(program_file.Program, "_answer", lambda self, points: points)
     cloud = np.ones((60, 3), np.float32)
-    np.testing.assert_array_equal(program(np.r_[np.zeros((30, 3)), cloud]), cloud)
+    nothing = np.zeros((30, 3))
+    nothing[:5, 2], nothing[5] = np.nan, np.inf
+    np.testing.assert_array_equal(program(np.r_[nothing, cloud]), cloud)
     for points, said in ((cloud * 1000, "looks like millimetres"), (cloud[:49], "too few")):
         with pytest.raises(ValueError, match=said):
             program(points)

@@ -126,12 +126,12 @@ class Program:
         self._limits = np.array(self.numbers["limits"]).reshape(-1, 2)
 
     def __call__(self, points: np.ndarray) -> Answer:
-        """Of points (N, 3); zeros are no measurement. Raises ValueError for too few of them, millimetres, and for what
-        is no place."""
+        """Of points (N, 3); rows that are not finite or all zero are no measurement. Raises ValueError for another
+        shape, too few points, and millimetres."""
         points = np.asarray(points, np.float32)
-        if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
-            raise ValueError("points: give finite numbers of shape (N, 3), metres")
-        points = points[points.any(1)]
+        if points.ndim != 2 or points.shape[1] != 3:
+            raise ValueError("points: give numbers of shape (N, 3), metres")
+        points = points[np.isfinite(points).all(1) & points.any(1)]
         if len(points) < self.numbers["least_points"]:
             raise ValueError(f"points: {len(points)} are too few, at least {self.numbers['least_points']} are needed")
         if (median := float(np.median(np.abs(points).max(1)))) > FAR:
