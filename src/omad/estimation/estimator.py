@@ -56,6 +56,7 @@ Refine = Callable[[Refiner, Targets, State], Refined]
 """Minimises the energy that a refiner states, from an initial state."""
 MOST = 4096
 """Samples of a cloud, and observations at a time."""
+SEEDS = 2**64
 
 
 @dataclass(frozen=True)
@@ -83,7 +84,7 @@ class EstimatorConfig:
         if not samples or not all(isinstance(count, Integral) and 1 <= count <= MOST for count in counts):
             raise InputError(f"EstimatorConfig: samples, near_samples and batch are numbers from 1 to {MOST}")
         object.__setattr__(self, "samples", samples)  # hashable
-        if not isinstance(self.seed, Integral) or not 0 <= self.seed < 2**64:
+        if not isinstance(self.seed, Integral) or not 0 <= self.seed < SEEDS:
             raise InputError("EstimatorConfig: seed is a whole number from 0, below 2^64")
 
     @classmethod
@@ -176,13 +177,14 @@ class Estimator:
     def reconsidered(
         self, observations: Sequence[Observation], estimates: Sequence[Estimate], known: Known = NOTHING_KNOWN
     ) -> list[Estimate]:
-        """First answers; an improbable one is compared with others to the same observation, which take three times as
+        """First answers; an improbable one is compared with others to the same observation, which take four times as
         long as it did."""
         found = list(estimates)
         for i, estimate in enumerate(estimates if self.config.reconsiders else ()):
             if is_improbable(estimate):
                 frames = turned_frames(estimate)
                 others = self._estimate([observations[i]] * len(frames), known, Beginning(frames=frames))
+                others += self._estimate([observations[i]], known, Beginning(choice=1))
                 found[i] = likelier(estimate, others)
         return found
 
@@ -232,7 +234,8 @@ class Estimator:
         config, watch, near, rig = self.config, Stopwatch(self.device), begin.near, begin.rig
         looks = config.samples if near is None else (config.near_samples,)
         size = self.net.backbone.config.points
-        shown = Shown.of(observations, size, sum(looks), config.seed, self.category, self.device)
+        seed = (config.seed + begin.choice) % SEEDS
+        shown = Shown.of(observations, size, sum(looks), seed, self.category, self.device)
         start = None if near is None else near.start(self.category, shown.clouds)
         level = known.levelling(shown.clouds, None if rig is None else rig.T_first_camera)
         given = begin.T_camera_base(self.category, shown.clouds)
@@ -242,7 +245,7 @@ class Estimator:
         if labels and (crowded := shown.crowded(as_numpy(seen[0].part_logits))):
             rows = torch.tensor(crowded, device=self.device)
             said = self._look(shown.clouds[rows], frame[rows], labels=True).part_logits
-            cleaned = shown.without_outside(crowded, as_numpy(said), config.seed)
+            cleaned = shown.without_outside(crowded, as_numpy(said), seed)
             clouds = cleaned.clouds[rows]
             again = first_frame(clouds.flatten(1, 2)) @ level[rows] if given is None else given[rows]
             look = self._look(clouds[:, : looks[0]], again, labels=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -17,7 +17,7 @@ from ..several_views import Rig
 
 @dataclass(frozen=True, eq=False)
 class Beginning:
-    """In frames with the cameras' axes, unless one of these is given."""
+    """In frames with the cameras' axes, unless one of ``near``, ``rig`` and ``frames`` is given."""
 
     near: Near | None = None
     """The one observation is of an object that was seen before."""
@@ -25,10 +25,12 @@ class Beginning:
     """Of the cameras of all observations: these are views of one object at one moment."""
     frames: np.ndarray | None = None
     """(B, 4, 4) T_camera_base, metres: the observations' objects may stand so."""
+    choice: int = 0
+    """Which random choices of the points are shown: what is added to the estimator's seed."""
 
     @property
     def is_anywhere(self) -> bool:
-        """Whether none is."""
+        """Whether none of them is."""
         return self.near is None and self.rig is None and self.frames is None
 
     def T_camera_base(self, category: Category, like: Tensor) -> Tensor | None:
@@ -46,7 +48,7 @@ class Beginning:
         """Of what is seen in a mirror in the camera's plane x = 0."""
         near = None if self.near is None else self.near.mirrored()
         rig = None if self.rig is None else self.rig.mirrored()
-        return Beginning(near, rig, None if self.frames is None else mirrored(self.frames))
+        return replace(self, near=near, rig=rig, frames=None if self.frames is None else mirrored(self.frames))
 
 
 ANYWHERE = Beginning()

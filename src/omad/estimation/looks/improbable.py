@@ -1,5 +1,5 @@
 """Answers that are improbable, as where one side of an object was taken for another: others begin in frames turned by
-quarters about the upright, and the most probable counts."""
+quarters about the upright, one with other choices of the points, and the most probable counts."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -28,7 +28,7 @@ def is_improbable(estimate: Estimate) -> bool:
 
 
 def turned_frames(estimate: Estimate) -> np.ndarray:
-    """(3, 4, 4) T_camera_base, metres, that others begin in."""
+    """(3, 4, 4) T_camera_base, metres, that three others begin in."""
     return estimate.T_camera_base @ TURNS
 
 
