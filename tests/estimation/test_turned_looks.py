@@ -1,6 +1,8 @@
 """Views that the network is unsure of, and those with improbable answers, are looked at from turned frames, too; no
 other view, and only for the better."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -14,7 +16,7 @@ from omad.data.source import load_views
 from omad.estimation import estimator as module
 from omad.estimation.estimate import Estimate
 from omad.estimation.estimator import Estimator, EstimatorConfig
-from omad.estimation.looks.improbable import CLEARLY, is_improbable, turned_frames
+from omad.estimation.looks.improbable import CLEARLY, is_improbable, likelier, turned_frames
 from omad.evaluation.robustness.experiment import scenes_from
 from omad.evaluation.robustness.rows import ROWS
 
@@ -76,3 +78,19 @@ def test_other_answers_begin_a_quarter_half_and_three_quarters_round():
         turn = Rotation.from_rotvec(quarters * np.pi / 2 * upright).as_matrix()
         np.testing.assert_allclose(frame[:3, :3], turn @ estimate.T_camera_base[:3, :3], atol=1e-6)
         np.testing.assert_allclose(frame[:3, 3], estimate.T_camera_base[:3, 3])
+
+
+def test_the_most_probable_counts_where_it_is_clearly_ahead_and_not_much_less_sure():
+    view = standard_view(generate(LAPTOP, 0, "test"), LAPTOP, (0, 0))
+    estimate = replace(Estimator.from_pretrained("laptop")(view.observation()), probability=0.5)
+
+    def other(probability: float, less_sure: float) -> Estimate:
+        return replace(estimate, probability=probability, keypoint_std=estimate.keypoint_std * less_sure)
+
+    assert likelier(estimate, [other(0.7, 1.0)]).probability == 0.5
+    chosen = likelier(estimate, [other(0.75, 1.0), other(0.9, 1.2), other(0.99, 2.0)])
+    assert chosen.probability == 0.9
+    assert chosen.seconds == pytest.approx({key: 4 * value for key, value in estimate.seconds.items()})
+    lost = replace(other(0.99, 1.0), keypoints=np.full_like(estimate.keypoints, np.nan))
+    assert likelier(estimate, [lost]).probability == 0.5
+    assert not is_improbable(replace(estimate, probability=None))
