@@ -177,7 +177,7 @@ class Estimator:
     def reconsidered(
         self, observations: Sequence[Observation], estimates: Sequence[Estimate], known: Known = NOTHING_KNOWN
     ) -> list[Estimate]:
-        """First answers; an improbable one is compared with others to the same observation, which take four times as
+        """First answers; an improbable one is compared with others to the same observation, which take three times as
         long as it did."""
         found = list(estimates)
         for i, estimate in enumerate(estimates if self.config.reconsiders else ()):

@@ -1,11 +1,11 @@
 """Answers that are improbable, as where one side of an object was taken for another: others begin in frames turned by
-quarters about the upright, one with other choices of the points, and the most probable counts."""
+quarters about the upright, and with other choices of the points, and the most probable counts."""
 
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.special import logit
+from scipy.special import expit, logit
 
 from omad.geometry.transforms import quarter_turns
 
@@ -18,8 +18,10 @@ CLEARLY = 1.0
 righted ..."""
 UNSURER = 0.3
 """... and by which the errors that it expects of its keypoints may be larger, logarithm."""
-TURNS = quarter_turns()[1::3].double().numpy()
-"""(3, 4, 4)."""
+KEPT = 0.5
+"""Share of its log-odds that the most probable of several keeps, so that it is right as often as it says."""
+TURNS = quarter_turns()[[1, 7]].double().numpy()
+"""(2, 4, 4); half turns right hardly more, and spectacles are taken from behind for such from before."""
 
 
 def is_improbable(estimate: Estimate) -> bool:
@@ -28,7 +30,7 @@ def is_improbable(estimate: Estimate) -> bool:
 
 
 def turned_frames(estimate: Estimate) -> np.ndarray:
-    """(3, 4, 4) T_camera_base, metres, that three others begin in."""
+    """(2, 4, 4) T_camera_base, metres, that two others begin in."""
     return estimate.T_camera_base @ TURNS
 
 
@@ -36,9 +38,11 @@ def likelier(estimate: Estimate, others: Sequence[Estimate]) -> Estimate:
     """The most probable of the ``others`` if it is clearly ahead, or else the estimate; with the time that all took."""
     sure = [one for one in others if one.is_finite and _expected(one) < _expected(estimate) + UNSURER]
     best = max(sure, key=_probability, default=estimate)
-    ahead = logit(_probability(best)) - logit(_probability(estimate))
+    log_odds = float(logit(_probability(best)))
     seconds = {key: sum(each.seconds[key] for each in (estimate, *others)) for key in estimate.seconds}
-    return replace(best if ahead > CLEARLY else estimate, seconds=seconds)
+    if log_odds <= logit(_probability(estimate)) + CLEARLY:
+        return replace(estimate, seconds=seconds)
+    return replace(best, probability=float(expit(KEPT * log_odds)), seconds=seconds)
 
 
 def _probability(estimate: Estimate) -> float:
