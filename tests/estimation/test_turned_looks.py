@@ -70,14 +70,16 @@ def test_improbable_answers_alone_are_compared_and_give_way_to_clearly_likelier_
     assert fast.reconsidered(seen, before) == before
 
 
-def test_other_answers_begin_a_quarter_round_to_either_side():
+def test_other_answers_begin_a_quarter_round_to_either_side_and_half_round():
     view = standard_view(generate(LAPTOP, 0, "test"), LAPTOP, (0, 0))
     estimate = Estimator.from_pretrained("laptop")(view.observation())
     upright = estimate.T_camera_base[:3, 1]
-    for quarters, frame in zip((1, -1), turned_frames(estimate), strict=True):
+    for quarters, frame in zip((1, -1, 2), turned_frames(estimate), strict=True):
         turn = Rotation.from_rotvec(quarters * np.pi / 2 * upright).as_matrix()
         np.testing.assert_allclose(frame[:3, :3], turn @ estimate.T_camera_base[:3, :3], atol=1e-6)
         np.testing.assert_allclose(frame[:3, 3], estimate.T_camera_base[:3, 3])
+    from_all_around = replace(LAPTOP, views=replace(LAPTOP.views, azimuth=np.pi))
+    assert len(turned_frames(replace(estimate, category=from_all_around))) == 2
 
 
 def test_the_most_probable_counts_where_it_is_clearly_ahead_and_not_much_less_sure():

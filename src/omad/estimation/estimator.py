@@ -177,8 +177,8 @@ class Estimator:
     def reconsidered(
         self, observations: Sequence[Observation], estimates: Sequence[Estimate], known: Known = NOTHING_KNOWN
     ) -> list[Estimate]:
-        """First answers; an improbable one is compared with others to the same observation, which take three times as
-        long as it did."""
+        """First answers; an improbable one is compared with others to the same observation, which take up to four
+        times as long as it did."""
         found = list(estimates)
         for i, estimate in enumerate(estimates if self.config.reconsiders else ()):
             if is_improbable(estimate):

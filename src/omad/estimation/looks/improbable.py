@@ -20,8 +20,8 @@ UNSURER = 0.3
 """... and by which the errors that it expects of its keypoints may be larger, logarithm."""
 KEPT = 0.5
 """Share of its log-odds that the most probable of several keeps, so that it is right as often as it says."""
-TURNS = quarter_turns()[[1, 7]].double().numpy()
-"""(2, 4, 4); half turns right hardly more, and spectacles are taken from behind for such from before."""
+TURNS = quarter_turns()[[1, 7, 4]].double().numpy()
+"""(3, 4, 4): a quarter to either side, and half."""
 
 
 def is_improbable(estimate: Estimate) -> bool:
@@ -30,8 +30,10 @@ def is_improbable(estimate: Estimate) -> bool:
 
 
 def turned_frames(estimate: Estimate) -> np.ndarray:
-    """(2, 4, 4) T_camera_base, metres, that two others begin in."""
-    return estimate.T_camera_base @ TURNS
+    """(2 or 3, 4, 4) T_camera_base, metres, that others begin in. Half a turn is left out where standard views are from
+    all around: first looks, too, know the back there, and what is gained is less than what is spoilt."""
+    all_around = estimate.category.views.azimuth >= np.pi
+    return estimate.T_camera_base @ (TURNS[:2] if all_around else TURNS)
 
 
 def likelier(estimate: Estimate, others: Sequence[Estimate]) -> Estimate:
