@@ -1,5 +1,5 @@
 """How often bases are turned the wrong way: without looks from turned frames, with those at what the network is unsure
-of, and with those where answers are improbable, too.
+of, and with those where answers are improbable, too; how many these are.
 
     OMP_NUM_THREADS=1 python benchmarks/accuracy/bench_turned.py [--categories laptop suitcase] [--rows clean below]
 
@@ -22,6 +22,7 @@ from omad.data.rendering.standard_views import View
 from omad.estimation import estimator as module
 from omad.estimation.estimate import Estimate
 from omad.estimation.estimator import Estimator
+from omad.estimation.looks.improbable import is_improbable
 from omad.evaluation.evaluate import true_pose
 from omad.evaluation.metrics import pose_errors
 from omad.evaluation.robustness.rows import ROWS
@@ -81,6 +82,7 @@ def main(config: Config) -> None:
                 answers = estimator.first_answers(seen)
                 columns.append(told(answers, views))
             columns.append(told(estimator.reconsidered(seen, answers), views))
+            columns.append(f"({sum(map(is_improbable, answers))})")
             print(f"{name + ' ' + row:24} {len(views):5} " + "  ".join(columns), flush=True)
 
 
