@@ -372,3 +372,8 @@ def plain(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [plain(inner) for inner in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def total_seconds(estimates: Sequence[Estimate]) -> dict[str, float]:
+    """How long each step took for all estimates together."""
+    return {key: sum(estimate.seconds[key] for estimate in estimates) for key in estimates[0].seconds}

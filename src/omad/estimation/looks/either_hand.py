@@ -12,7 +12,7 @@ from omad.model.fronts.seen import front_of
 
 from ..checks import hand_doubts
 from ..confidence.model import CURE, FILE
-from ..estimate import Estimate
+from ..estimate import Estimate, total_seconds
 from .relief import as_shut, relief
 
 FRONTS = 2
@@ -42,7 +42,7 @@ def surer_hands(
     chosen = [own if ahead >= 0 else image.in_mirror() for ahead, (own, image) in zip(lead, pairs, strict=True)]
     told = expit(np.abs(lead)).tolist() if hand else [None] * len(pairs)
     return [
-        _with(estimate, _added(pair), probability)
+        _with(estimate, total_seconds(pair), probability)
         for estimate, pair, probability in zip(chosen, pairs, told, strict=True)
     ]
 
@@ -80,7 +80,3 @@ def told(estimate: Estimate) -> np.ndarray:
 
 def _for(estimate: Estimate, hand: Sequence[float]) -> float:
     return odds(hand, estimate) if hand else -float(np.log(estimate.keypoint_std).mean())
-
-
-def _added(pair: Sequence[Estimate]) -> dict[str, float]:
-    return {key: sum(estimate.seconds[key] for estimate in pair) for key in pair[0].seconds}

@@ -9,7 +9,7 @@ from scipy.special import expit, logit
 
 from omad.geometry.transforms import quarter_turns
 
-from ..estimate import Estimate
+from ..estimate import Estimate, total_seconds
 
 IMPROBABLE = 0.7
 """Probability below which others are asked for."""
@@ -41,7 +41,7 @@ def likelier(estimate: Estimate, others: Sequence[Estimate]) -> Estimate:
     sure = [one for one in others if one.is_finite and _expected(one) < _expected(estimate) + UNSURER]
     best = max(sure, key=_probability, default=estimate)
     log_odds = float(logit(_probability(best)))
-    seconds = {key: sum(each.seconds[key] for each in (estimate, *others)) for key in estimate.seconds}
+    seconds = total_seconds((estimate, *others))
     if log_odds <= logit(_probability(estimate)) + CLEARLY:
         return replace(estimate, seconds=seconds)
     return replace(best, probability=float(expit(KEPT * log_odds)), seconds=seconds)
