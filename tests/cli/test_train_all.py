@@ -48,7 +48,9 @@ def test_all_steps_of_two_categories_and_what_is_done_stays(capsys, monkeypatch)
     for one, other in zip(found["results"], again["results"], strict=True):
         assert one["refined"] == other["refined"]
     assert run(command[:-1] + ["runs"]) == 0
-    assert "within 5° 5 %" in capsys.readouterr().out
+    seen = capsys.readouterr()
+    assert "within 5° 5 %" in seen.out
+    assert "laptop: TrainSurface is done, and kept" in seen.err
 
 
 @pytest.mark.slow

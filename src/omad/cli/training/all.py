@@ -92,10 +92,11 @@ class TrainAll:
             ((home / bank.FILE).is_file, TrainSurface(**made, views=self.views, device=device)),
         )
         for done, stage in stages:
-            if processes.from_first(done):
-                continue
+            kept = processes.from_first(done)
             if processes.first:
-                print(f"{name}: {type(stage).__name__}", file=sys.stderr, flush=True)
+                print(f"{name}: {type(stage).__name__}{' is done, and kept' * kept}", file=sys.stderr, flush=True)
+            if kept:
+                continue
             if isinstance(stage, TrainNet):
                 stage.run()
             else:

@@ -326,6 +326,7 @@ class TrainConfidence(CategoryCommand):
 
     def run(self) -> Answer:
         check_positive(objects=self.objects, views=self.views)
+        fitting.check_views(self.views)
         use_threads(self.threads)
         folder = find_weights(self.weights or self.category)
         net = load(OmadNet, folder)

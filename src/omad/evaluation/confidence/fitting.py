@@ -62,11 +62,14 @@ class Answers:
         return ~np.isnan(self.errors[:, 0])
 
 
-def answered(estimator: Estimator, models: Sequence[ObjectModel], views: int, seed: int) -> Answers:
-    """The estimator's answers to so many views of the ``models``, and of other things. Raises InputError where these
-    are too few for ``fit``, whatever they show."""
+def check_views(views: int) -> None:
+    """Raises InputError where so many views are too few for ``fit``, whatever they show."""
     if views < FEWEST:
         raise InputError(f"views: are {views}, but at least {FEWEST} must show the category; give more")
+
+
+def answered(estimator: Estimator, models: Sequence[ObjectModel], views: int, seed: int) -> Answers:
+    """The estimator's answers to so many views of the ``models``, and of other things."""
     category = estimator.category
     found = [
         _answer(estimator, some)
