@@ -75,3 +75,14 @@ def test_an_open_surface_is_not_closed():
     box = solid(trimesh.creation.box([1.0, 1.0, 1.0]))
     assert not closed(Mesh(box.vertices, box.faces[1:]))
     assert not closed(Mesh(box.vertices, box.faces[:, ::-1]))
+
+
+def test_solids_that_share_edges_are_closed():
+    """As two boxes of a part that touch do, once vertices at the same place are one."""
+    boxes = [solid(trimesh.creation.box([1.0, 1.0, 1.0])).warped(lambda v, x=x: v + x) for x in (0.0, [1.0, 1.0, 0.0])]
+    both = merge_meshes(boxes)
+    vertices, index = np.unique(both.vertices, axis=0, return_inverse=True)
+    welded = Mesh(vertices, index.reshape(-1)[both.faces])
+    assert len(welded.vertices) == 14
+    assert closed(welded)
+    assert not closed(Mesh(welded.vertices, welded.faces[1:]))

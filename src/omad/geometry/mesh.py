@@ -49,11 +49,12 @@ def merge_meshes(meshes: Iterable[Mesh]) -> Mesh:
 
 
 def closed(mesh: Mesh) -> bool:
-    """Whether a mesh is a union of closed, outward-oriented surfaces."""
-    import trimesh  # slow to import, and an answer does without
-
-    solid = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
-    return bool(solid.is_watertight and solid.volume > 0)
+    """Whether a mesh is a union of closed, outward-oriented surfaces: each face's edges are met as often from their
+    other side, however many solids share one, and what they enclose is positive."""
+    edges = np.concatenate([mesh.faces[:, [0, 1]], mesh.faces[:, [1, 2]], mesh.faces[:, [2, 0]]])
+    there, back = (np.sort(a * len(mesh.vertices) + b) for a, b in (edges.T, edges.T[::-1]))
+    a, b, c = (mesh.triangles - mesh.vertices.mean(0)).swapaxes(0, 1) if len(edges) else np.zeros((3, 1, 3))
+    return np.array_equal(there, back) and float((a * np.cross(b, c)).sum()) > 0
 
 
 def triangle_normals(triangles: np.ndarray) -> np.ndarray:
