@@ -192,6 +192,16 @@ def test_a_shape_that_is_known_stays(stapler):
     assert tracked[-1] is not None
 
 
+def test_a_frame_that_is_refused_for_what_is_known_leaves_the_track_as_it_was(stapler):
+    observation, _ = stapler
+    tracker, other = (omad.Tracker(omad.Estimator.from_pretrained("stapler", "cpu")) for _ in range(2))
+    tracker(observation, 0.0), other(observation, 0.0)
+    with pytest.raises(omad.InputError, match="known gravity"):
+        tracker(observation, 0.1, omad.Known(gravity=[0, 0, 0]))
+    found, wanted = (each(observation, 0.1).estimate for each in (tracker, other))
+    assert np.array_equal(found.keypoints, wanted.keypoints)
+
+
 def test_joints_stop_at_their_limits():
     start = Placement(np.eye(4), np.array([0.2, 1.7, 0.5]))
     filter = MotionFilter(MotionConfig(), (True,) * 3, start, 1e-3 * np.eye(9), [(0, 1.5)] * 3)

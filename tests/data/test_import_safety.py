@@ -2,6 +2,7 @@
 left out."""
 
 import json
+import re
 import shutil
 from pathlib import Path
 
@@ -127,6 +128,7 @@ BAD = {
     "axis": hinged('<axis xyz="1 0"/>'),
     "far": hinged('<origin xyz="1e300 0 0"/>'),
     "endless": hinged('<limit lower="0" upper="1e300"/>'),
+    "capsule": shaped('<capsule radius="1" length="2"/>'),
     "box": shaped('<box size="1 0"/>'),
     "no size": shaped('<box size="1 0 1"/>'),
     "scale": shaped('<mesh filename="a.obj" scale="1 0"/>'),
@@ -142,6 +144,23 @@ def test_a_xacro_file_is_named_as_one(tmp_path):
     file.write_text('<robot xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:property name="a" value="1"/></robot>')
     with pytest.raises(InputError, match="run xacro on it"):
         read_articulation(file)
+
+
+def test_a_shape_that_no_urdf_has_is_named(tmp_path):
+    file = tmp_path / "bad.urdf"
+    file.write_text(BAD["capsule"])
+    with pytest.raises(InputError, match=r"link 'a' has a geometry of no known shape, capsule; give a mesh, box"):
+        read_articulation(file)
+
+
+def test_limits_in_degrees_are_told_of():
+    write_microwaves(Path("models"), 1)
+    [file] = Path("models").rglob("*.urdf")
+    text, said = re.sub(r'lower="[^"]*" upper="[^"]*"', 'lower="0" upper="90"', file.read_text()), []
+    for limits in (text, text.replace('"90"', '"1.5"')):
+        file.write_text(limits)
+        said.append([note.reason for note in import_folder(Path("models"), MICROWAVE, Path("ours")).notes])
+    assert said == [["limits of door_joint are radians in a URDF; of degrees so large, divide them by 57.3"], []]
 
 
 @pytest.mark.parametrize("text", BAD.values(), ids=BAD.keys())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -22,10 +23,11 @@ from omad.data.rendering.rasteriser import NOTHING
 from omad.data.rendering.standard_views import MIN_PIXELS, standard_view, standard_views
 from omad.data.rendering.tabletop import draw_tabletop
 from omad.data.rendering.view_folder import open_views, render_to_folder
-from omad.data.rendering.viewpoints import keep_possible
+from omad.data.rendering.viewpoints import keep_possible, sample_poses
 from omad.data.surface_bank import SurfaceBank
 from omad.data.training_views import ViewSettings, draw_views
 from omad.geometry.mesh import Mesh
+from omad.objects.category import ViewRange
 from omad.objects.category_file import get_category
 from omad.objects.model import ObjectModel
 
@@ -100,6 +102,13 @@ def test_noise_leaves_the_truth_alone(models: list[ObjectModel]) -> None:
     assert np.array_equal(clean.T_camera_base, noisy.T_camera_base)
     assert not np.array_equal(clean.depth, noisy.depth)
     assert np.array_equal(noisy.labels != NOTHING, noisy.depth > 0)
+
+
+@pytest.mark.parametrize("elevation", [-math.pi / 2, math.pi / 2])
+def test_poses_are_rotations_from_straight_above_and_below(elevation: float) -> None:
+    views, ball = ViewRange(math.pi, (elevation, elevation), 0.1), (torch.zeros(4, 3), torch.ones(4))
+    R = sample_poses(views, *(one.double() for one in ball))[:, :3, :3]
+    np.testing.assert_allclose(R @ R.mT, np.eye(3)[None].repeat(4, 0), atol=1e-9)
 
 
 def test_an_object_that_cannot_be_seen_is_refused(models: list[ObjectModel], monkeypatch: pytest.MonkeyPatch) -> None:

@@ -71,7 +71,7 @@ def test_without_confidence_answers_are_the_least_squares_own(estimate: Estimate
     assert record["initial"]["joints"][0]["interval_90"] is None
 
 
-@pytest.mark.parametrize("level", [0.0, 1.0, -0.5, 90.0, float("nan")])
+@pytest.mark.parametrize("level", [0.0, 1.0, -0.5, 90.0, float("nan"), "a"])
 def test_an_interval_is_of_a_probability(estimate: Estimate, level: float) -> None:
     with pytest.raises(InputError, match=r"level: .* give 0\.9"):
         estimate.joints[0].interval(level)

@@ -3,6 +3,7 @@
 import json
 import pickle
 from concurrent.futures import ThreadPoolExecutor
+from multiprocessing.reduction import ForkingPickler
 from pathlib import Path
 
 import numpy as np
@@ -85,6 +86,10 @@ def test_answers_and_estimators_go_to_other_processes():
     sent = pickle.dumps(estimator)
     assert len(sent) < 1.1 * sum(value.nbytes for value in estimator.net.state_dict().values())
     assert pickle.loads(sent)(observation).joint_states.tolist() == estimate.joint_states.tolist()
+    ForkingPickler.dumps(estimator)  # as to a pool: moves the sender's tensors to shared memory
+    taken = [np.full(estimator.net.backbone.config.pooled, np.nan, np.float32) for _ in range(10_000)]
+    assert estimator(observation).joint_states.tolist() == estimate.joint_states.tolist()
+    del taken
 
 
 def test_the_same_input_gives_the_same_answer(estimator):

@@ -8,12 +8,13 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from numbers import Integral
 from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
 
-from omad.common.arrays import numbers
+from omad.common.arrays import as_numpy, numbers
 from omad.common.errors import InputError
 from omad.common.files import write_json
 from omad.geometry.joint_kinds import Motion
@@ -344,15 +345,16 @@ class Estimate(PoseEstimate):
         names = [spec.name for spec in self.category.parts]
         if part not in names[1:]:
             raise InputError(f"part {part!r} does not move: moving parts are {', '.join(names[1:])}")
-        if steps < 1:
-            raise InputError(f"steps: {steps} is too few; give at least 1")
-        if not np.isfinite(to_state):
+        if not isinstance(steps, Integral) or steps < 1:
+            raise InputError(f"steps: {steps} is no number of poses; give at least 1")
+        state = as_numpy(to_state)
+        if state.size != 1 or state.dtype.kind not in "iuf" or not np.isfinite(state).all():
             raise InputError(f"to_state: {to_state} is no state; give radians or metres")
         start = rigid_transform(T_camera_handle, "T_camera_handle")
         T_world = np.eye(4) if T_world_camera is None else rigid_transform(T_world_camera, "T_world_camera")
         joint = self.joints[names.index(part) - 1]
-        check_state(to_state, joint.limits, "to_state")
-        motions = np.stack([joint.motion(travel) for travel in np.linspace(0.0, to_state - joint.state, steps)])
+        check_state(state.item(), joint.limits, "to_state")
+        motions = np.stack([joint.motion(travel) for travel in np.linspace(0.0, state.item() - joint.state, steps)])
         return T_world @ motions @ np.linalg.inv(T_world) @ start
 
 

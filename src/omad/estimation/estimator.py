@@ -72,7 +72,8 @@ class EstimatorConfig:
     confidence: bool = True
     """False: all keypoints of an object count alike, as in the paper; for comparison."""
     seed: int = 0
-    """Which points are chosen; the same observation and seed give the same estimate."""
+    """Which points are chosen; the same observation and seed give the same estimate.
+    Beside others in a batch sums are rounded otherwise, which may decide what an improbable one is."""
     batch: int = 128
     """Observations that go through the network together."""
     reconsiders: bool = True

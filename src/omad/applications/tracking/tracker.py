@@ -25,7 +25,7 @@ from omad.estimation.checks import no_surer
 from omad.estimation.confidence.model import RIGHT_ANGLE, RIGHT_SHARE
 from omad.estimation.estimate import Estimate
 from omad.estimation.estimator import Estimator
-from omad.estimation.known import NOTHING_KNOWN, Known, Near
+from omad.estimation.known import NOTHING_KNOWN, Known, Near, check_known
 from omad.estimation.looks.shown import check_observations
 from omad.sensing.observation import Observation
 
@@ -147,6 +147,7 @@ class Tracker:
             raise InputError(f"time {time} s: must come after the last frame's, {self._time} s; sort the frames")
         if observation is not None:
             check_observations([observation])
+        check_known(known, self.estimator.category, self.estimator.net.prior.basis_size)
         self._time = time
         track = self._track
         if track is None:

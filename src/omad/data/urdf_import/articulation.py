@@ -22,6 +22,7 @@ from omad.objects.model import ObjectModel
 
 from .shapes import MeshFiles, MissingMeshes, link_mesh
 
+SHAPES = {"mesh", "box", "cylinder", "sphere"}
 FARTHEST = 1e6
 """Nothing in a URDF is farther away, in its own unit."""
 REPAIR = "repair the file or download it again"
@@ -196,6 +197,10 @@ def _parse(path: Path) -> Any:
         raise InputError(f"{shown(path)}: not a URDF: its root element is not <robot>")
     for kind in ("link", "joint"):
         check_limit("links", len(root.findall(kind)), f"{shown(path)}: the number of {kind}s")
+    for link in root.findall("link"):
+        for shape in {one.tag for geometry in link.iter("geometry") for one in geometry} - SHAPES:
+            what = f"link {link.get('name')!r} has a geometry of no known shape, {shown(shape)}"
+            raise InputError(f"{shown(path)}: {what}; give a mesh, box, cylinder or sphere")
     # as UTF-8, whatever encoding it was in
     text = io.BytesIO(ElementTree.tostring(root, encoding="utf-8"))
     return yourdfpy.URDF.load(text, build_scene_graph=False, load_meshes=False).robot

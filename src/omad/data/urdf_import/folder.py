@@ -30,6 +30,10 @@ RECORD = "import.json"
 """In a folder of imported models, beside their folders: where they come from."""
 UPRIGHT = 0.9
 """Cosine from which an axis points up."""
+MANY_TURNS = 4 * math.pi
+"""Radians; no hinge's limit is so large ..."""
+IN_DEGREES = "are radians in a URDF; of degrees so large, divide them by 57.3"
+"""... and what is said of one that is."""
 USUAL = 2.0
 """Category units that objects are across."""
 
@@ -129,6 +133,7 @@ def _imported(
         raw = partnet.with_stated_axes(partnet.with_names(stated, file.parent), file.parent, scale)
     moved = [joint.name for joint, before in zip(raw.joints, stated.joints, strict=True) if joint is not before]
     notes = [f"axis of {', '.join(moved)} taken from {partnet.JOINTS}: the URDF has it elsewhere"] if moved else []
+    notes += _odd_limits(raw)
     try:
         aligned = align(label_parts(raw, category), category)
     except InputError as error:
@@ -141,6 +146,13 @@ def _imported(
         notes.append(f"is taken without {len(stated.skipped)} of its mesh files, which are missing")
     model = replace(aligned.model, name=object_name(path), of_other_hand=of_other_hand)
     return ImportedModel(model, notes, _up(aligned.R_canonical_source))
+
+
+def _odd_limits(raw: RawArticulation) -> list[str]:
+    """What is said of limits that seem to be in degrees."""
+    hinges = [joint for joint in raw.joints if joint.motion.turns and not joint.motion.slide]
+    odd = [one.name for one in hinges if max(map(abs, one.limits or ()), default=0.0) > MANY_TURNS]
+    return [f"limits of {', '.join(odd)} {IN_DEGREES}"] if odd else []
 
 
 def scale_of(path: Path, category: Category, scale: float | None) -> float:

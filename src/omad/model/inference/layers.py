@@ -33,10 +33,10 @@ class Layer:
 
     @classmethod
     def of(cls, layer: nn.Module) -> Layer:
-        """Of an ``nn.Linear``."""
+        """Of an ``nn.Linear``. Copies: a network that is sent to another process leaves the memory that it was in."""
         assert isinstance(layer, nn.Linear)
         bias = layer.weight.new_zeros(layer.out_features) if layer.bias is None else layer.bias.detach()
-        return cls(layer.weight.detach().T.contiguous(), bias.numpy())
+        return cls(layer.weight.detach().T.clone(memory_format=torch.contiguous_format), bias.numpy().copy())
 
     @property
     def array(self) -> np.ndarray:

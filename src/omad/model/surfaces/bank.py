@@ -137,7 +137,7 @@ class ShapeBank:
         """Of ``models`` with their keypoints (N, M, 3); ``generated``: they are the first N that the generator
         makes to train with."""
         meshes = () if generated else [model.parts for model in models]
-        return cls(category, as_numpy(prior.learned_basis), as_numpy(keypoints), meshes)
+        return cls(category, as_numpy(prior.learned_basis).copy(), as_numpy(keypoints), meshes)
 
 
 def _meshes(arrays: dict[str, np.ndarray], parts: int) -> list[tuple[Mesh, ...]]:
