@@ -14,16 +14,17 @@ import torch
 from helpers.categories import LAPTOP
 from helpers.numbered import SIZE, SPACE, add_slowly, betas, entries, stream
 from helpers.warm import warm
-from omad.applications.retrieval.index import ShapeIndex
+from omad.applications.retrieval.index import Entry, ShapeIndex
 from omad.applications.retrieval.large import large_index
 from omad.applications.retrieval.large.large_index import LargeIndex, open_index
 from omad.applications.retrieval.large.lists import PROBES, ListSearch, learn_centres, sorted_into_lists, write_lists
 from omad.applications.retrieval.large.manifest import Manifest
-from omad.applications.retrieval.large.parts import Portion
+from omad.applications.retrieval.large.parts import MAPPED, Portion
 from omad.applications.retrieval.large.stream import _whole_objects
 from omad.applications.retrieval.signature import Signature, Space
 from omad.cli.main import run
 from omad.common.errors import InputError
+from omad.common.files import TEMPORARY
 from omad.common.processes.locks import only_one
 from omad.model.prior import OmadPrior
 
@@ -134,6 +135,46 @@ def test_catalogues_are_merged_once(tmp_path, small_parts):
     other = Space.of(OmadPrior(LAPTOP, generator=torch.Generator().manual_seed(1)), LAPTOP, "beta")
     with pytest.raises(InputError, match="other weights"):
         into.merge(ShapeIndex(other), "foreign")
+
+
+def test_what_another_handle_merged_is_not_merged_again(tmp_path):
+    one, two = (open_(tmp_path / "all", SPACE) for open_ in (LargeIndex.create, LargeIndex.create))
+    for each in (one, two):
+        each.merge(exact(50), "numbers")
+    assert len(LargeIndex.open(tmp_path / "all")) == 50
+    with pytest.raises(InputError, match="is the catalogue itself"):
+        one.merge(two, "itself")
+
+
+def test_inputs_that_came_between_those_that_are_in_are_refused(tmp_path):
+    index, names = LargeIndex.create(tmp_path, SPACE), [f"{i:03d}.png" for i in range(300)]
+    index.add(stream(200), "numbers", names[:200])
+    index.add(stream(300, 200), "numbers", names)  # what comes after them is new
+    for others in (["0000.png", *names], names[:299]):
+        with pytest.raises(InputError, match="numbers: its first 300 inputs are not those that are in"):
+            index.add(stream(301, 300), "numbers", others)
+    assert len(LargeIndex.open(tmp_path)) == 300
+
+
+def test_names_that_are_no_utf8_are_kept_readable(tmp_path):
+    index = LargeIndex.create(tmp_path, SPACE)
+    index.add([Portion(betas(1), [Entry("bad\udcff", "a\udcff.png", b"")], np.eye(SIZE), 1)])
+    assert LargeIndex.open(tmp_path).entry(0) == Entry("bad\\udcff", "a\\udcff.png", b"")
+
+
+@pytest.mark.skipif(not Path("/proc/self/fd").is_dir(), reason="open files are not told here")
+def test_many_parts_need_few_open_files(tmp_path, monkeypatch):
+    monkeypatch.setattr(large_index, "PART_ENTRIES", 1)
+    before = len(os.listdir("/proc/self/fd"))
+    index = LargeIndex.create(tmp_path, SPACE)
+    index.add(stream(100, each=1), "numbers")
+    assert [index.entry(i) for i in (0, 99)] == [*entries(0, 1), *entries(99, 100)]
+    assert len(os.listdir("/proc/self/fd")) < before + 3 * MAPPED + 20
+
+
+def test_another_writers_file_makes_no_folder_full(tmp_path):
+    (tmp_path / f"{TEMPORARY}x.json").touch()
+    assert len(LargeIndex.create(tmp_path, SPACE)) == 0
 
 
 def test_what_cannot_be_merged_is_told_before_anything_is(tmp_path, capsys):

@@ -105,14 +105,18 @@ class IndexBuild(CategoryCommand):
         index, refused = LargeIndex.create(self.output, space), list[dict[str, str]]()
         made = self.source in NAMES or not Path(self.source).is_dir()  # by a generator
         source = f"{everywhere(self.source)} {self.seed}" if made else everywhere(self.source)
-        index.add(self._portions(estimator, index.taken(source), refused), source)
+        files = [] if kind_of(self.source).images is not None else self._files()
+        names = [file.relative_to(self.source).as_posix() for file in files]
+        index.add(self._portions(estimator, index.taken(source), files, refused), source, names)
         if not len(index):
             raise InputError(f"{self.source}: none of its {len(refused)} inputs can be used; see omad estimate")
         record = {"index": str(self.output), "category": space.category, "metric": self.metric}
         return Answer(record | {"backend": self.backend, "entries": len(index), "refused": refused})
 
-    def _portions(self, estimator: omad.Estimator, taken: int, refused: list[dict[str, str]]) -> Iterator[Portion]:
-        """All that the source holds, without its first ``taken`` inputs."""
+    def _portions(
+        self, estimator: omad.Estimator, taken: int, files: list[Path], refused: list[dict[str, str]]
+    ) -> Iterator[Portion]:
+        """All that the source holds, depth ``files`` or something else, without its first ``taken`` inputs."""
         folder, category = Path(self.source), estimator.category
         if kind_of(self.source).images is not None:
             views = load_views(self.source, category, 1, 1, self.seed, "off", self.broken, taken)
@@ -122,7 +126,7 @@ class IndexBuild(CategoryCommand):
 
             rest = progress(views.views, views.total, done=taken)
             return portions_of_inputs(estimator, rest, lambda view: view.object, seen, self.fuse)
-        if files := self._files():
+        if files:
             rest = progress(files[taken:], len(files), unit="file", done=taken)
             return portions_of_inputs(
                 estimator,

@@ -7,9 +7,11 @@ threads give as many images a second as processes do, with one copy of the weigh
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 from functools import partial
 from numbers import Integral
+from threading import Lock
 from typing import Any, Self, TypeVar
 
 import numpy as np
@@ -69,28 +71,74 @@ def estimate_stream(
 ) -> Iterator[Outcome]:
     """Estimates in the order of ``frames``, which may be endless: so many as ``IN_FLIGHT`` batches a worker are taken
     ahead of what the caller has taken. A frame that cannot be read or estimated is told of in its place, and the
-    others go on. ``workers`` threads, 0: a core each. While it runs, PyTorch has one thread for each of them."""
+    others go on; where ``frames`` itself raises, what came before is told of first. ``workers`` threads, 0: a core
+    each. While it runs, PyTorch has one thread for each of them."""
     for name, value, least in (("workers", workers, 0), ("batch", batch, 1)):
         if not isinstance(value, Integral) or not least <= value <= MOST:
             raise InputError(f"{name} {shown(repr(value))}: give a whole number from {least} to {MOST}")
-    workers, threads = workers or cores(), torch.get_num_threads()
+    workers = workers or cores()
     try:
         frames = iter(frames)
     except TypeError as error:
         raise InputError(f"frames: is {type(frames).__name__}; give observations, or omad.Frame of each") from error
     waiting: deque[Future[list[Outcome]]] = deque()
-    torch.set_num_threads(1)
+    source = _Source(frames)
     pool = ThreadPoolExecutor(workers, initializer=torch.set_num_threads, initargs=(1,))
-    try:
-        for some in batched(_named(frames), batch):
-            waiting.append(pool.submit(_outcomes, estimator, some))
-            if len(waiting) >= IN_FLIGHT * workers:
+    with _one_thread_each():
+        try:
+            for some in batched(_named(source), batch):
+                waiting.append(pool.submit(_outcomes, estimator, some))
+                if len(waiting) >= IN_FLIGHT * workers:
+                    yield from waiting.popleft().result()
+            while waiting:
                 yield from waiting.popleft().result()
-        while waiting:
-            yield from waiting.popleft().result()
+        finally:
+            pool.shutdown(cancel_futures=True)
+    if source.error is not None:
+        raise source.error
+
+
+@dataclass
+class _Streams:
+    """How many run, and what their threads were before the first."""
+
+    lock: Lock = field(default_factory=Lock)
+    running: int = 0
+    threads: int = 1
+
+
+_STREAMS = _Streams()
+
+
+class _Source:
+    """Things up to where the next one cannot be had: what came before is not lost, and why is kept."""
+
+    def __init__(self, things: Iterable[Any]) -> None:
+        self._things = things
+        self.error: Exception | None = None
+
+    def __iter__(self) -> Iterator[Any]:
+        try:
+            yield from self._things
+        except Exception as error:
+            self.error = error
+
+
+@contextmanager
+def _one_thread_each() -> Iterator[None]:
+    """PyTorch has one thread meanwhile, and as many as before when the last of several streams ends."""
+    with _STREAMS.lock:
+        if not _STREAMS.running:
+            _STREAMS.threads = torch.get_num_threads()
+        _STREAMS.running += 1
+        torch.set_num_threads(1)
+    try:
+        yield
     finally:
-        pool.shutdown(cancel_futures=True)
-        torch.set_num_threads(threads)
+        with _STREAMS.lock:
+            _STREAMS.running -= 1
+            if not _STREAMS.running:
+                torch.set_num_threads(_STREAMS.threads)
 
 
 def _copied(value: Any) -> Any:

@@ -12,6 +12,8 @@ from functools import partial
 
 import torch
 
+from omad.objects.category import AUTO
+
 from .asked import Asked
 from .reply import Reply
 
@@ -56,8 +58,9 @@ class Batcher:
     def _hand_out(self) -> None:
         loop = asyncio.get_running_loop()
         while self._idle and self._waiting:
-            share = min(self._batch, -(-len(self._waiting) // self._idle))
             category = self._waiting[0].asked.category
+            # categories are found one view at a time, so that the first of several would only wait for the last
+            share = 1 if category == AUTO else min(self._batch, -(-len(self._waiting) // self._idle))
             taken = [each for each in self._waiting if each.asked.category == category][:share]
             self._waiting = deque(each for each in self._waiting if each not in taken)
             self._idle -= 1

@@ -25,6 +25,8 @@ class Gone(Exception):
 class _InMemory(MultiPartParser):
     spool_max_size = 2**62
     ended = False
+    # whatever a client names: some decoders take quadratic time, in which nobody else is answered, and some raise
+    _charset = property(lambda _: "utf-8", lambda *_: None)  # type: ignore[assignment]
 
     def on_end(self) -> None:
         self.ended = True

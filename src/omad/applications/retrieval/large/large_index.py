@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from itertools import accumulate
 from pathlib import Path
@@ -12,7 +12,7 @@ from typing import Self
 import numpy as np
 
 from omad.common.errors import InputError
-from omad.common.files import make_folder
+from omad.common.files import TEMPORARY, make_folder
 from omad.common.incoming import read_arrays
 from omad.common.processes.locks import only_one
 
@@ -20,13 +20,24 @@ from ..index import Entry, Hit, ShapeIndex, hit_of, nearest_objects, whole
 from ..search import Neighbours
 from ..signature import Signature, Space, information_factor
 from . import lists as ivf
-from .manifest import CURE, FILE, Manifest, StoredLists, publish_manifest, read_manifest, to_disk
+from .manifest import (
+    CURE,
+    FILE,
+    Manifest,
+    StoredLists,
+    digest_of_names,
+    publish_manifest,
+    read_manifest,
+    to_disk,
+)
 from .parts import PartReader, Portion, write_part
 
 PART_ENTRIES, PART_BYTES, PART_SECONDS = 2**18, 2**27, 60.0
 """When what came in is written: so much is in memory, and so much is made again after a kill."""
 GROWTH = 8
 """Times more entries than the lists' centres were chosen for call for new ones."""
+WRITER = "another command"
+"""Who may be at it."""
 BLOCK = 4096
 """Entries of another catalogue in memory at a time."""
 RANKED_AGAIN = 1000
@@ -69,13 +80,15 @@ class LargeIndex:
                 raise InputError(f"{folder}: {said}; choose another folder, or the same weights and --metric")
             return found
         make_folder(folder)
-        if any(folder.iterdir()):
-            raise InputError(f"{folder}: is not empty, and no catalogue; choose another folder")
-        factor = tuple(map(tuple, space.factor.tolist()))
-        nothing = tuple(map(tuple, np.zeros_like(space.factor).tolist()))
-        manifest = Manifest(space.prior, space.category, space.metric, factor, nothing)
-        publish_manifest(folder, manifest)
-        return cls(folder, manifest)
+        with only_one(folder, WRITER):
+            there = {path.name for path in folder.iterdir() if not path.name.startswith(TEMPORARY)}
+            if FILE not in there:
+                if there:
+                    raise InputError(f"{folder}: is not empty, and no catalogue; choose another folder")
+                factor = tuple(map(tuple, space.factor.tolist()))
+                nothing = tuple(map(tuple, np.zeros_like(space.factor).tolist()))
+                publish_manifest(folder, Manifest(space.prior, space.category, space.metric, factor, nothing))
+        return cls.create(folder, space)
 
     def _show(self, manifest: Manifest) -> None:
         size = len(manifest.factor)
@@ -141,31 +154,49 @@ class LargeIndex:
             raise InputError(f"{self.folder}: is damaged (its lists name entries that are not there); build it anew")
         return found
 
-    def add(self, portions: Iterable[Portion], source: str = "") -> None:
+    def add(self, portions: Iterable[Portion], source: str = "", inputs: Sequence[str] = ()) -> None:
         """Add a stream of entries; what is not yet written is in memory, at most some hundred thousand of them. After
         a kill all that was written is there, and ``taken`` tells how many inputs of ``source`` need not come again.
-        Raises InputError where another process adds, and for entries of another prior."""
-        with only_one(self.folder, "another command"):
+        ``inputs``: names of all of them, where they have any. Raises InputError where another process adds, for entries
+        of another prior, and where the first ``inputs`` are not those that are in."""
+        with only_one(self.folder, WRITER):
             self._show(read_manifest(self.folder))
+            self._check_inputs(source, inputs)
             for some in _gathered(portions):
-                self._add_part(some, source)
+                self._add_part(some, source, inputs)
 
     def merge(self, other: ShapeIndex | LargeIndex, source: str) -> None:
         """Add the entries of another catalogue, called ``source``, but for those that are in. Raises InputError where
-        it is of another space."""
+        it is of another space, and for the catalogue itself."""
         self.space.check_same(other.space, source, self.folder)
-        self.add(_portions_of(other, self.taken(source)), source)
+        if isinstance(other, LargeIndex) and other.folder.resolve() == self.folder.resolve():
+            raise InputError(f"{source}: is the catalogue itself; give another one")
+        with only_one(self.folder, WRITER):
+            self._show(read_manifest(self.folder))
+            for some in _gathered(_portions_of(other, self.taken(source))):
+                self._add_part(some, source)
 
-    def _add_part(self, portions: list[Portion], source: str) -> None:
+    def _check_inputs(self, source: str, inputs: Sequence[str]) -> None:
+        known, taken = dict(self.manifest.names).get(source), self.taken(source)
+        if inputs and known not in (None, digest_of_names(inputs[:taken])):
+            cure = "put new ones into a folder of their own, or build it anew"
+            raise InputError(f"{source}: its first {taken} inputs are not those that are in {self.folder}; {cure}")
+
+    def _add_part(self, portions: list[Portion], source: str, inputs: Sequence[str] = ()) -> None:
         manifest, size = self.manifest, len(self.space.factor)
         for portion in portions:
             self.space.check_prior(portion.prior or self.space.prior)
             if portion.betas.shape != (len(portion.entries), size) or not np.isfinite(portion.betas).all():
                 raise InputError(f"betas: expected finite ({len(portion.entries)}, {size}), got {portion.betas.shape}")
         covariances = np.array(manifest.covariances) + sum(portion.covariances for portion in portions)
-        taken = dict(manifest.taken) | {source: self.taken(source) + sum(portion.taken for portion in portions)}
+        count = self.taken(source) + sum(portion.taken for portion in portions)
+        taken = dict(manifest.taken) | {source: count}
+        names = dict(manifest.names) | ({source: digest_of_names(inputs[:count])} if inputs else {})
         manifest = replace(
-            manifest, covariances=tuple(map(tuple, covariances.tolist())), taken=tuple(sorted(taken.items()))
+            manifest,
+            covariances=tuple(map(tuple, covariances.tolist())),
+            taken=tuple(sorted(taken.items())),
+            names=tuple(sorted(names.items())),
         )
         if not any(len(portion.entries) for portion in portions):
             publish_manifest(self.folder, manifest)

@@ -6,7 +6,9 @@ is killed before it leaves files that nobody reads, and the next writer takes aw
 
 import os
 import re
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from hashlib import sha256
 from pathlib import Path
 from typing import Literal
 
@@ -62,7 +64,9 @@ class Manifest:
     centres_for: int = 0
     """Entries that these were chosen for."""
     taken: tuple[tuple[str, int], ...] = ()
-    """Of each source, how many of its inputs are in."""
+    """Of each source, how many of its inputs are in ..."""
+    names: tuple[tuple[str, str], ...] = ()
+    """... and of some a digest of what these are called."""
 
     @property
     def entries(self) -> int:
@@ -84,6 +88,11 @@ def publish_manifest(folder: Path, manifest: Manifest) -> None:
     for path in folder.iterdir():
         if OWN_FILE.fullmatch(path.name) and path.name.split(".")[0] not in named:
             path.unlink(missing_ok=True)
+
+
+def digest_of_names(names: Sequence[str]) -> str:
+    """Tells some names in their order from others."""
+    return sha256("\0".join(names).encode(errors="surrogateescape")).hexdigest()[:32]
 
 
 def to_disk(path: Path) -> None:

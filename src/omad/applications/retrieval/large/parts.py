@@ -6,6 +6,7 @@ Whatever is asked for is read where it lies; a part of a million entries costs n
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Self
 
@@ -20,6 +21,8 @@ from .manifest import CURE, StoredPart, to_disk
 
 BETAS, BLOB, ENDS = ".betas.npy", ".entries", ".ends.npy"
 UNKNOWN = -1
+MAPPED = 64
+"""Parts that are kept mapped."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +64,9 @@ def write_part(folder: Path, name: str, portions: Sequence[Portion]) -> StoredPa
         for portion in portions:
             for entry in portion.entries:
                 hands.append(UNKNOWN if entry.of_other_hand is None else int(entry.of_other_hand))
-                for field in (entry.name.encode(), entry.source.encode(), entry.thumbnail):
+                # names of files may be no UTF-8
+                texts = [text.encode(errors="backslashreplace") for text in (entry.name, entry.source)]
+                for field in (*texts, entry.thumbnail):
                     file.write(field)
                     marks.append(file.tell())
     table = np.array(marks, dtype=np.int64).reshape(-1, 3)
@@ -79,22 +84,38 @@ class PartReader:
         for path, length in zip(paths, stored.sizes, strict=True):
             if not is_file(path) or path.stat().st_size != length:
                 raise InputError(f"{path}: missing or cut short; {CURE}")
-        self.betas, self._ends = map_array(paths[0]), map_array(paths[2])
-        self._blob = np.memmap(paths[1], np.uint8, "r") if stored.sizes[1] else np.zeros(0, np.uint8)
-        ends = [(stored.entries, 3), (stored.entries, 4)]
-        if self.betas.shape != (stored.entries, size) or self._ends.shape not in ends:
+        self._paths, self._entries, self._written = paths, stored.entries, paths[2].stat().st_mtime_ns
+        betas, _, ends = self._maps()
+        if betas.shape != (stored.entries, size) or ends.shape not in [(stored.entries, 3), (stored.entries, 4)]:
             raise InputError(f"{paths[0]}: is of another catalogue; {CURE}")
 
     def __len__(self) -> int:
-        return len(self.betas)
+        return self._entries
+
+    def _maps(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        return _mapped(*self._paths, self._written)
+
+    @property
+    def betas(self) -> np.ndarray:
+        """(n, D)."""
+        return self._maps()[0]
 
     def entry(self, row: int) -> Entry:
         """Raises InputError where it is damaged."""
-        begin = int(self._ends[row - 1, 2]) if row else 0
-        *ends, hand = [*self._ends[row].tolist(), UNKNOWN][:4]
+        _, blob, table = self._maps()
+        begin = int(table[row - 1, 2]) if row else 0
+        *ends, hand = [*table[row].tolist(), UNKNOWN][:4]
         marks = [begin, *ends]
-        if sorted(marks) != marks or not 0 <= marks[0] <= marks[-1] <= len(self._blob):
+        if sorted(marks) != marks or not 0 <= marks[0] <= marks[-1] <= len(blob):
             raise InputError(f"entry {row}: is damaged; {CURE}")
-        name, source, thumbnail = (self._blob[low:high].tobytes() for low, high in zip(marks, marks[1:], strict=False))
+        name, source, thumbnail = (blob[low:high].tobytes() for low, high in zip(marks, marks[1:], strict=False))
         of_other_hand = None if hand == UNKNOWN else hand > 0
         return Entry(name.decode(errors="replace"), source.decode(errors="replace"), thumbnail, of_other_hand)
+
+
+@lru_cache(maxsize=MAPPED)
+def _mapped(betas: Path, blob: Path, ends: Path, _written: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A part's betas, texts and pictures, and table of ends. Not of all parts at once: each map holds a file open, and
+    catalogues may have more parts than a process may have open files."""
+    bytes_of_all = np.memmap(blob, np.uint8, "r") if blob.stat().st_size else np.zeros(0, np.uint8)
+    return map_array(betas), bytes_of_all, map_array(ends)
