@@ -372,7 +372,7 @@ def test_who_is_not_answered_in_time_is_told_so_and_others_go_on():
 
     class Request:
         def __init__(self, seconds: str) -> None:
-            self.body = form({"depth": seconds.encode(), "intrinsics": b"1"})
+            self.body = form({"category": b"laptop", "depth": seconds.encode(), "intrinsics": b"1"})
             self.headers = {"content-type": FORM, "Content-Type": FORM}
 
         async def stream(self):
