@@ -15,7 +15,7 @@ from omad.objects.category import JointSpec, ViewRange
 
 SPAN = (0.35, 0.9)
 """Share of the image height that the object's bounding sphere covers."""
-UPRIGHT = math.pi / 2 - 1e-3
+STEEPEST = math.pi / 2 - 1e-3
 """Largest elevation, above and below: straight up and down, "up" would be undefined."""
 OFF_CENTRE = 0.15
 """Largest shift of the object's centre off the image centre, as a share of the frame."""
@@ -79,7 +79,7 @@ def sample_poses(
         return uniform(low, high, tuple(radius.shape), radius, generator)
 
     azimuth = drawn(-views.azimuth, views.azimuth)
-    elevation = drawn(*views.elevation).clamp(-UPRIGHT, UPRIGHT)
+    elevation = drawn(*views.elevation).clamp(-STEEPEST, STEEPEST)
     rotation = look_at(azimuth, elevation, drawn(-views.roll, views.roll))
     distance = radius * (1 + (2 * camera.fy / (drawn(*span) * camera.height)) ** 2).sqrt()
     sizes = (camera.width, camera.fx), (camera.height, camera.fy)

@@ -171,10 +171,11 @@ class LargeIndex:
         self.space.check_same(other.space, source, self.folder)
         if isinstance(other, LargeIndex) and other.folder.resolve() == self.folder.resolve():
             raise InputError(f"{source}: is the catalogue itself; give another one")
-        with only_one(self.folder, WRITER):
-            self._show(read_manifest(self.folder))
-            for some in _gathered(_portions_of(other, self.taken(source))):
-                self._add_part(some, source)
+
+        def coming() -> Iterator[Portion]:
+            yield from _portions_of(other, self.taken(source))  # asked for when nobody else writes any more
+
+        self.add(coming(), source)
 
     def _check_inputs(self, source: str, inputs: Sequence[str]) -> None:
         known, taken = dict(self.manifest.names).get(source), self.taken(source)
@@ -182,7 +183,7 @@ class LargeIndex:
             cure = "put new ones into a folder of their own, or build it anew"
             raise InputError(f"{source}: its first {taken} inputs are not those that are in {self.folder}; {cure}")
 
-    def _add_part(self, portions: list[Portion], source: str, inputs: Sequence[str] = ()) -> None:
+    def _add_part(self, portions: list[Portion], source: str, inputs: Sequence[str]) -> None:
         manifest, size = self.manifest, len(self.space.factor)
         for portion in portions:
             self.space.check_prior(portion.prior or self.space.prior)
