@@ -95,6 +95,17 @@ def test_a_run_does_not_go_on_with_other_files(capsys, monkeypatch):
     assert answer(capsys, *usual)["done_before"] == 3
 
 
+def test_a_run_does_not_go_on_with_a_file_that_was_written_anew(capsys, monkeypatch):
+    np.save("stack.npy", np.stack([laptop_view().depth] * 2))
+    usual = ["bulk", "stack.npy", *LAPTOP, *K, "--batch", "1", "--output", "out.jsonl"]
+    with monkeypatch.context() as killed:
+        killed.setattr(Results, "finish", lambda _: None)
+        answer(capsys, *usual)
+    np.save("stack.npy", np.stack([laptop_view().depth] * 2) + 1)
+    os.utime("stack.npy", (0, 0))
+    assert "other inputs or settings" in refused(capsys, *usual)
+
+
 def test_a_full_disk_is_told_of_with_the_file(capsys):
     resource = pytest.importorskip("resource")
     save_png("views/a.png")

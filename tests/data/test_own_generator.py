@@ -1,5 +1,6 @@
 """Generators of one's own: they take the place of models, and what is wrong in them is said with its line."""
 
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -153,10 +154,10 @@ def test_what_is_wrong_in_one_is_said_in_a_line(text, said, tmp_path):
 
 
 FAMILIES = {
-    "z up": ("tuple(mesh.warped(lambda v: v[:, [0, 2, 1]] * [1, -1, 1]) for mesh in made.parts)", "", "reach says"),
-    "the flap first": ("made.parts[::-1]", "", "side says"),
+    "z up": ("tuple(mesh.warped(lambda v: v[:, [0, 2, 1]] * [1, -1, 1]) for mesh in made.parts)", "", "reach says, mostly towards [+]z"),
+    "the flap first": ("made.parts[::-1]", "", "side says, mostly towards -z"),
     "turned round": ("made.parts", ", axes=[[-1, 0, 0]]", "180 degrees off the spec's"),
-    "far from its hinge": ("made.parts", ", pivots=made.pivots + [0, 50, 0]", "reach says"),
+    "far from its hinge": ("made.parts", ", pivots=made.pivots + [0, 50, 0]", "reach says, mostly towards -y"),
 }
 
 
@@ -177,6 +178,19 @@ def family(folder: Path, parts: str, further: str) -> str:
 def test_a_family_that_lies_otherwise_than_the_spec_says_is_refused(parts, further, said, tmp_path):
     with pytest.raises(InputError, match=rf"4 of 4 objects are no mailbox: .*{said}; mend the generator"):
         load_models(family(tmp_path, parts, further), MAILBOX, 4, "train", 0)
+
+
+def test_what_lies_beside_it_may_be_imported_whenever_it_runs(tmp_path, monkeypatch):
+    monkeypatch.setattr("sys.path", sys.path[:])
+    (tmp_path / "beside_it_at_once.py").write_text("GENERATOR = " + repr(str(GENERATOR)))
+    (tmp_path / "beside_it_later.py").write_text("import runpy\nrun = runpy.run_path")
+    (tmp_path / "own.py").write_text(
+        "from beside_it_at_once import GENERATOR\n\n\ndef generate(rng, category, unusual):\n"
+        '    from beside_it_later import run\n    return run(GENERATOR)["generate"](rng, category, unusual)\n'
+    )
+    [model] = load_models(str(tmp_path / "own.py"), MAILBOX, 1, "train", 0).models
+    [same] = load_models(str(GENERATOR), MAILBOX, 1, "train", 0).models
+    assert model.diagonal == same.diagonal
 
 
 def test_limits_are_kept_within_those_of_the_spec(tmp_path):

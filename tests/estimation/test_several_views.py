@@ -238,6 +238,17 @@ def test_what_is_no_pose_is_named(estimator, views):
         estimator(observations[0], T_world_camera=T[:1])
 
 
+def test_poses_that_single_precision_has_rounded_are_named(estimator, views):
+    observations, T = observed(views[:2])
+    far = T.copy()
+    far[:, :3, 3] += (5e5, 4e6, 0.0)
+    with pytest.raises(omad.InputError, match=r"T_world_camera: single precision knows .* to 0.25 m only; give doubles"):
+        estimator(observations, T_world_camera=far.astype(np.float32))
+    near, *_ = estimator(observations, T_world_camera=T)
+    same, *_ = estimator(observations, T_world_camera=far)
+    assert same.joints[0].state == pytest.approx(near.joints[0].state, abs=1e-4)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["laptop", "eyeglasses", "dishwasher", "drawer"])
 def test_three_views_err_less_than_one_and_say_so(name):

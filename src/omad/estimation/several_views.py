@@ -48,6 +48,8 @@ SURE = 3.5
 """Joint states that two views tell alone are of two moments where they are apart by more than so many times the larger
 standard deviation. Of 360 pairs and triples of noisy views of twelve categories none are said to be, of 262 where a
 joint moved all but 6."""
+COARSEST = 1e-3
+"""Metres that positions of cameras may be rounded to."""
 SAME_TURN, SAME_SLIDE = np.radians(10), 0.2
 """Radians and category units up to which two joint states are one: an answer is right of both."""
 
@@ -112,11 +114,16 @@ class Rig:
 
 def relative_poses(T_world_camera: Any, views: int) -> np.ndarray:
     """T_first_camera (V, 4, 4) of so many cameras at poses (V, 4, 4) in any one frame, in metres. Raises InputError for
-    another shape and for what is no rigid transform."""
+    another shape, for what is no rigid transform, and for single precision where it rounds too much."""
     poses = numbers(T_world_camera, views, 4, 4, what="T_world_camera", unknown=True)
     for number, T in enumerate(poses, 1):
         if not is_rigid(T):
             raise InputError(f"T_world_camera: that of view {number} is no rotation and translation; correct it")
+    single = poses.astype(np.float32)
+    step = float(np.spacing(np.abs(single[:, :3, 3]).max()))
+    if step > COARSEST and (single == poses).all():
+        told = f"single precision knows positions so far from the origin to {step:.2g} m only"
+        raise InputError(f"T_world_camera: {told}; give doubles, or poses in a frame that is near")
     return np.linalg.inv(poses[0]) @ poses
 
 

@@ -34,7 +34,8 @@ class Source:
     after: Callable[[int], Iterator[Frame]]
     """Its frames without the first so many, which are not read."""
     listed: str = ""
-    """A digest of what files were in folders: with others there, rows are of others."""
+    """A digest of what files were in folders, and of when those that were named were written: with others there, rows
+    are of others."""
 
 
 def open_sources(
@@ -87,8 +88,15 @@ def open_sources(
         sources += [_parquet(file, reader) for file in group.files() if file.suffix.lower() == SUFFIX]
         single = [name for name in group.names if Path(name).suffix.lower() != SUFFIX]
         sources.append(_single(_Group(group.folder, single), reader))
-    names = (os.fsencode(name) for group in groups.values() for name in group.names)
-    return _chained(sources, hashlib.sha256(b"\0".join(names)).hexdigest())
+    names = [os.fsencode(name) for group in groups.values() for name in group.names]
+    written = [_written(path) for path in (*local, reading.mask) if path is not None and path.is_file()]
+    return _chained(sources, hashlib.sha256(b"\0".join(names + written)).hexdigest())
+
+
+def _written(path: Path) -> bytes:
+    """What changes with the contents of a file, to the second, as some file systems keep it."""
+    told = path.stat()
+    return f"{told.st_size} {int(told.st_mtime)}".encode()
 
 
 @dataclass(frozen=True)

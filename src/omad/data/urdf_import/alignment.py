@@ -140,11 +140,11 @@ def _frames(model: ObjectModel, category: Category) -> Iterator[np.ndarray]:
 
 def _agreement(model: ObjectModel, category: Category) -> np.ndarray:
     """Cosines between where children are and where the spec says they are; nearer to 1 where they are close by."""
-    return np.array([1.0, *_relations(model, category).values()])
+    return np.array([1.0, *(agreed for agreed, _ in _relations(model, category).values())])
 
 
-def _relations(model: ObjectModel, category: Category) -> dict[tuple[str, str], float]:
-    """The same of each part and field of its joint's spec."""
+def _relations(model: ObjectModel, category: Category) -> dict[tuple[str, str], tuple[float, np.ndarray]]:
+    """The same of each part and field of its joint's spec, with where it is (3,)."""
     centres, diagonal, found = model.part_boxes().mean(1), model.diagonal, {}
     for joint, spec in enumerate(category.joints):
         axis = model.axes[joint]
@@ -156,7 +156,7 @@ def _relations(model: ObjectModel, category: Category) -> dict[tuple[str, str], 
                 length = float(np.linalg.norm(offset))
                 cosine = offset @ np.array(expected) / max(length * np.linalg.norm(expected), 1e-12)
                 agreed = 1 - min(1.0, length / (SHORT * diagonal)) * (1 - cosine)
-                found[category.parts[joint + 1].name, field] = agreed
+                found[category.parts[joint + 1].name, field] = agreed, offset
     return found
 
 
@@ -170,9 +170,11 @@ def _travel(model: ObjectModel, category: Category) -> np.ndarray:
 def check_like(model: ObjectModel, category: Category) -> None:
     """Raises InputError, without a file's name, for an object in canonical space that is shaped or jointed otherwise
     than the category's."""
-    for (part, field), agreed in _relations(model, category).items():
+    for (part, field), (agreed, towards) in _relations(model, category).items():
         if agreed < LEAST_AGREEMENT:
-            told = f"its {part} lies elsewhere than the spec's {field} says"
+            most = int(np.abs(towards).argmax())
+            found = f"{'+' if towards[most] > 0 else '-'}{'xyz'[most]}"
+            told = f"its {part} lies elsewhere than the spec's {field} says, mostly towards {found}"
             raise InputError(f"its parts do not lie to each other as those of a {category.name} do: {told}")
     sizes = np.ptp(model.part_boxes(), axis=1) / model.diagonal
     for part, size in zip(category.parts, sizes, strict=True):
