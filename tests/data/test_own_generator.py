@@ -154,7 +154,11 @@ def test_what_is_wrong_in_one_is_said_in_a_line(text, said, tmp_path):
 
 
 FAMILIES = {
-    "z up": ("tuple(mesh.warped(lambda v: v[:, [0, 2, 1]] * [1, -1, 1]) for mesh in made.parts)", "", "reach says, mostly towards [+]z"),
+    "z up": (
+        "tuple(mesh.warped(lambda v: v[:, [0, 2, 1]] * [1, -1, 1]) for mesh in made.parts)",
+        "",
+        "mostly towards [+]z",
+    ),
     "the flap first": ("made.parts[::-1]", "", "side says, mostly towards -z"),
     "turned round": ("made.parts", ", axes=[[-1, 0, 0]]", "180 degrees off the spec's"),
     "far from its hinge": ("made.parts", ", pivots=made.pivots + [0, 50, 0]", "reach says, mostly towards -y"),

@@ -242,7 +242,7 @@ def test_poses_that_single_precision_has_rounded_are_named(estimator, views):
     observations, T = observed(views[:2])
     far = T.copy()
     far[:, :3, 3] += (5e5, 4e6, 0.0)
-    with pytest.raises(omad.InputError, match=r"T_world_camera: single precision knows .* to 0.25 m only; give doubles"):
+    with pytest.raises(omad.InputError, match=r"T_world_camera: single precision .* to 0.25 m only; give doubles"):
         estimator(observations, T_world_camera=far.astype(np.float32))
     near, *_ = estimator(observations, T_world_camera=T)
     same, *_ = estimator(observations, T_world_camera=far)

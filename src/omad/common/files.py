@@ -15,6 +15,8 @@ from .processes.locks import try_lock
 
 TEMPORARY = ".omad-"
 """What names of unfinished files begin with."""
+OPEN_STAYS = os.name == "nt"
+"""Windows neither renames nor removes a file that is open, and locks none."""
 NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG)
 """What goes wrong with a disk, not with a path."""
 FILES = (".png", ".jpg", ".html", ".json", ".csv", ".npy", ".npz", ".urdf", ".glb", ".ply", ".zip")
@@ -65,18 +67,21 @@ def unfinished(path: Path) -> Iterator[Path]:
     _sweep(os.path.realpath(path.parent))
     handle, name = _locked_file(path)
     temporary = Path(name)
+    if OPEN_STAYS:
+        os.close(handle)
     try:
         yield temporary
     finally:
         temporary.unlink(missing_ok=True)
-        os.close(handle)
+        if not OPEN_STAYS:
+            os.close(handle)
 
 
 def _locked_file(path: Path) -> tuple[int, str]:
     """Locked as long as it is written, so that who sweeps knows it for one in use."""
     while True:
         handle, name = tempfile.mkstemp(prefix=TEMPORARY, suffix=path.suffix[:20], dir=path.parent)
-        if try_lock(handle) and (os.name == "nt" or os.fstat(handle).st_nlink):
+        if try_lock(handle) and (OPEN_STAYS or os.fstat(handle).st_nlink):
             return handle, name
         os.close(handle)  # swept in the moment before it was locked
 
@@ -84,7 +89,7 @@ def _locked_file(path: Path) -> tuple[int, str]:
 @cache
 def _sweep(folder: str) -> None:
     """Take away what killed processes left unfinished; once a folder."""
-    if os.name == "nt":
+    if OPEN_STAYS:
         return
     with suppress(OSError), os.scandir(folder) as entries:
         for entry in entries:

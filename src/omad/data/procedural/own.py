@@ -35,7 +35,8 @@ LEAST_ALONG = 0.7
 def own_generator(path: Path | str) -> Generator:
     """The function ``generate`` of a file, which is run: name none that you do not trust. It is as those of the shipped
     categories are: ``generate(rng, category, unusual) -> JointedParts``, metres, at rest, base first; all that is
-    random comes from ``rng``. It may import what lies beside it, whenever it runs. Raises InputError, as the function does, for what is wrong in the file, with its line."""
+    random comes from ``rng``. It may import what lies beside it, whenever it runs. Raises InputError, as the function
+    does, for what is wrong in the file, with its line."""
     path = existing(Path(path), "a generator of objects")
     if (folder := str(path.resolve().parent)) not in sys.path:
         sys.path.append(folder)  # last: what lies there takes nothing's place

@@ -7,6 +7,7 @@ is killed before it leaves files that nobody reads, and the next writer takes aw
 import os
 import re
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from hashlib import sha256
 from pathlib import Path
@@ -87,7 +88,8 @@ def publish_manifest(folder: Path, manifest: Manifest) -> None:
     named = {part.name for part in manifest.parts} | {lists.name for lists in manifest.lists} | {manifest.centres}
     for path in folder.iterdir():
         if OWN_FILE.fullmatch(path.name) and path.name.split(".")[0] not in named:
-            path.unlink(missing_ok=True)
+            with suppress(PermissionError):  # on Windows, as long as it is read: gone with the next one
+                path.unlink(missing_ok=True)
 
 
 def digest_of_names(names: Sequence[str]) -> str:
@@ -97,5 +99,5 @@ def digest_of_names(names: Sequence[str]) -> str:
 
 def to_disk(path: Path) -> None:
     """Wait until the file is: its name in the manifest must not be there before."""
-    with path.open("rb") as file:
+    with path.open("r+b") as file:  # Windows flushes only what may be written
         os.fsync(file.fileno())
