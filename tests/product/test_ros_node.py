@@ -4,6 +4,7 @@ rosbags' own; rclpy, which pip does not have, is a stand-in that notes what is p
 import importlib
 import runpy
 import sys
+from itertools import count
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 
@@ -133,6 +134,7 @@ class Synchronizer:
 def published(store, monkeypatch) -> list:
     """What a node without ROS publishes, by topic."""
     said: list = []
+    seconds = count(1000)
 
     class Node:
         def __init__(self, name: str) -> None:
@@ -148,7 +150,14 @@ def published(store, monkeypatch) -> list:
             return f"/{topic}"
 
         def get_logger(self):
-            return SimpleNamespace(error=lambda text, **_: said.append(("error", text)))
+            return SimpleNamespace(
+                error=lambda text, **_: said.append(("error", text)),
+                warning=lambda text, **_: said.append(("warning", text)),
+            )
+
+        def get_clock(self):
+            times = store.types["builtin_interfaces/msg/Time"]
+            return SimpleNamespace(now=lambda: SimpleNamespace(to_msg=lambda: times(next(seconds), 0)))
 
     def module(name: str, **members) -> None:
         made = ModuleType(name)
@@ -163,6 +172,7 @@ def published(store, monkeypatch) -> list:
         module(package)
         module(f"{package}.msg", **packages[package])
     module("rclpy")
+    module("rclpy.executors", ExternalShutdownException=RuntimeError)
     module("rclpy.node", Node=Node)
     module("rclpy.qos", qos_profile_sensor_data=None)
     broadcaster = SimpleNamespace(sendTransform=lambda transforms: said.append(("tf", transforms)))
@@ -175,16 +185,34 @@ def published(store, monkeypatch) -> list:
 def test_the_node_answers_each_image(store, published, monkeypatch):
     node = importlib.import_module("omad_ros.node")
     classes = {**store.types}
-    monkeypatch.setattr(node, "Messages", lambda types: importlib.import_module("omad_ros.messages").Messages(classes))
+    monkeypatch.setattr(
+        node,
+        "Messages",
+        lambda _, prefix: importlib.import_module("omad_ros.messages").Messages(classes, prefix=prefix),
+    )
     running = node.OmadNode()
     running.answer(*inputs(store)[:2])
-    assert [topic for topic, _ in published] == ["joint_states", "tf", "markers"]
+    assert [topic for topic, _ in published] == ["joint_states", "probability", "tf", "markers"]
+    assert published[1][1].data > 0.5
+    assert [sent.child_frame_id for sent in published[2][1]] == ["laptop/base", "laptop/screen"]
     running.answer(*inputs(store)[:2])  # an image that is late says nothing of the object
-    assert len(published) == 3
+    assert [topic for topic, _ in published[4:]] == ["warning"]
     depth, info, _ = inputs(store, 6)
     info.width = 320
     running.answer(depth, info)
     assert published[-1][0] == "error"
+
+
+def test_images_without_a_time_stamp_were_taken_when_they_came(store, published, monkeypatch):
+    node, make = importlib.import_module("omad_ros.node"), importlib.import_module("omad_ros.messages").Messages
+    monkeypatch.setattr(node, "Messages", lambda _, prefix: make({**store.types}, prefix=prefix))
+    running = node.OmadNode()
+    for _ in range(2):
+        depth, info, _ = inputs(store, 0)
+        depth.header.stamp.nanosec = 0
+        running.answer(depth, info)
+    stamps = [message.header.stamp.sec for topic, message in published if topic == "joint_states"]
+    assert stamps == [1000, 1001]
 
 
 def test_a_mask_that_took_long_meets_its_own_image(published, monkeypatch):
@@ -202,11 +230,12 @@ def test_a_mask_that_took_long_meets_its_own_image(published, monkeypatch):
 
 def test_the_launch_file_takes_what_the_node_takes(published, monkeypatch):
     node, asked = importlib.import_module("omad_ros.node"), []
+    loaded = Estimator.from_pretrained("laptop")
     stand_in_for_launch(monkeypatch)
     told = runpy.run_path(str(PACKAGE / "launch" / "omad.launch.py"))
     assert told["PARAMETERS"].keys() == told["TYPES"].keys() == node.DEFAULTS.keys()
     assert told["generate_launch_description"]() is not None
-    monkeypatch.setattr(node.Estimator, "from_pretrained", lambda weights, device: asked.append(weights))
+    monkeypatch.setattr(node.Estimator, "from_pretrained", lambda weights, device: asked.append(weights) or loaded)
     monkeypatch.setattr(node, "Perception", lambda *_: None)
     monkeypatch.setattr(node, "DEFAULTS", {**node.DEFAULTS, "weights": "laptop"})
     node.OmadNode()

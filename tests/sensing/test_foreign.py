@@ -145,6 +145,10 @@ def test_ros_masks_colours_and_compressed_depth(tmp_path, plain):
     bgr = np.random.default_rng(0).integers(0, 255, (480, 640, 3), np.uint8)
     seen = Observation.from_depth(packed, camera_info("ROS2_HUMBLE"), mask, color=image("ROS2_HUMBLE", bgr, "bgr8"))
     assert len(seen.points) == len(plain.points)
+    labels = image("ROS2_HUMBLE", (view.depth > 0).astype(np.int32), "32SC1")
+    assert np.array_equal(Observation.from_depth(packed, camera_info("ROS2_HUMBLE"), labels).points, seen.points)
+    with pytest.raises(InputError, match="depth: encoding '32SC1' is one of labels"):
+        Observation.from_depth(labels, camera_info("ROS2_HUMBLE"))
     assert np.array_equal(seen.color, bgr[..., ::-1])
 
 

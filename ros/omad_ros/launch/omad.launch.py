@@ -8,8 +8,8 @@ from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
 TOPICS = {"depth": "/camera/depth/image_rect_raw", "info": "/camera/depth/camera_info", "mask": "/mask"}
-PARAMETERS = {"category": "laptop", "weights": "", "use_mask": "false", "track": "true"}
-TYPES = {"category": str, "weights": str, "use_mask": bool, "track": bool}
+PARAMETERS = {"category": "laptop", "weights": "", "use_mask": "false", "track": "true", "frame_prefix": ""}
+TYPES = {"category": str, "weights": str, "use_mask": bool, "track": bool, "frame_prefix": str}
 """Left to itself ROS takes an empty text for no value, and a folder called 12 for a number."""
 
 

@@ -27,6 +27,8 @@ class Messages:
     """Classes by full names, as sensor_msgs/msg/JointState."""
     numbers: Callable[[Sequence[float]], Any] = list
     """What a sequence of numbers is made into: rclpy takes lists."""
+    prefix: str = ""
+    """What stands before the names of links' frames."""
 
     def joint_state(self, estimate: Estimate, header: Any) -> Any:
         """sensor_msgs/JointState, radians and metres."""
@@ -38,7 +40,7 @@ class Messages:
     def transforms(self, estimate: Estimate, header: Any) -> list[Any]:
         """geometry_msgs/TransformStamped: camera to base, and each link from its parent link."""
         found = []
-        for number, told in enumerate(ros_messages(estimate)["tf"]["transforms"]):
+        for number, told in enumerate(ros_messages(estimate, prefix=self.prefix)["tf"]["transforms"]):
             parent = header.frame_id if number == 0 else told["header"]["frame_id"]
             place, turn = told["transform"]["translation"], told["transform"]["rotation"]
             translation = self._make("geometry_msgs/Vector3", **place)
@@ -64,6 +66,12 @@ class Messages:
             ends = middle + np.array([[-0.5], [0.5]]) * LENGTH * size * joint.axis
             found.append(self._marker(header, f"{joint.name} axis", ARROW, ends, CRIMSON))
         return self._make("visualization_msgs/MarkerArray", markers=found)
+
+    def probability(self, estimate: Estimate) -> Any:
+        """std_msgs/Float32 that the answer is right; NaN where that is not known."""
+        return self._make(
+            "std_msgs/Float32", data=float("nan" if estimate.probability is None else estimate.probability)
+        )
 
     def nothing(self, header: Any) -> Any:
         """visualization_msgs/MarkerArray that takes away what was shown."""

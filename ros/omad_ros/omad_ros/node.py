@@ -2,7 +2,8 @@
 
 Subscribes ``depth`` (sensor_msgs/Image, 16UC1 millimetres or 32FC1 metres), ``info`` (sensor_msgs/CameraInfo of that
 image) and with ``use_mask`` ``mask`` (sensor_msgs/Image, not zero on the object). Publishes ``joint_states``
-(sensor_msgs/JointState), ``markers`` (visualization_msgs/MarkerArray) and transforms from the camera to the links.
+(sensor_msgs/JointState), ``probability`` (std_msgs/Float32, that the answer is right), ``markers``
+(visualization_msgs/MarkerArray) and transforms from the camera to the links.
 """
 
 import sys
@@ -13,10 +14,11 @@ import rclpy
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Point, Pose, Quaternion, Transform, TransformStamped, Vector3
 from message_filters import ApproximateTimeSynchronizer, Subscriber
+from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image, JointState
-from std_msgs.msg import ColorRGBA, Header
+from std_msgs.msg import ColorRGBA, Float32, Header
 from tf2_ros import TransformBroadcaster
 from visualization_msgs.msg import Marker, MarkerArray
 
@@ -31,7 +33,7 @@ CLASSES = {
     "builtin_interfaces": (Time,),
     "geometry_msgs": (Point, Pose, Quaternion, Transform, TransformStamped, Vector3),
     "sensor_msgs": (JointState,),
-    "std_msgs": (ColorRGBA, Header),
+    "std_msgs": (ColorRGBA, Float32, Header),
     "visualization_msgs": (Marker, MarkerArray),
 }
 QUEUE = 4
@@ -39,7 +41,7 @@ QUEUE = 4
 RECENT, APART = 30, 0.05
 """Images that wait for their masks, which are worked out meanwhile, and seconds that messages of one moment may be
 apart."""
-DEFAULTS = {"category": "laptop", "weights": "", "use_mask": False, "track": True}
+DEFAULTS = {"category": "laptop", "weights": "", "use_mask": False, "track": True, "frame_prefix": ""}
 
 
 class OmadNode(Node):
@@ -52,8 +54,10 @@ class OmadNode(Node):
         estimator = Estimator.from_pretrained(Path(told["weights"]) if told["weights"] else told["category"], "cpu")
         self.perception = Perception(estimator, told["track"], RECTIFIED in self.resolve_topic_name("depth"))
         types = {f"{package}/msg/{kind.__name__}": kind for package, kinds in CLASSES.items() for kind in kinds}
-        self.messages = Messages(types)
+        prefix = told["frame_prefix"] or f"{estimator.category.name}/"  # other robots' links are called base, too
+        self.messages = Messages(types, prefix=prefix)
         self.states = self.create_publisher(JointState, "joint_states", QUEUE)
+        self.probability = self.create_publisher(Float32, "probability", QUEUE)
         self.markers = self.create_publisher(MarkerArray, "markers", QUEUE)
         self.broadcaster = TransformBroadcaster(self)
         topics = [(Image, "depth"), (CameraInfo, "info")] + [(Image, "mask")] * told["use_mask"]
@@ -63,7 +67,10 @@ class OmadNode(Node):
 
     def answer(self, depth: Any, info: Any, mask: Any = None) -> None:
         """Publish what is seen; of an object that is not, that it is gone."""
+        if depth.header.stamp.sec == depth.header.stamp.nanosec == 0:  # some cameras leave it out
+            depth.header.stamp = self.get_clock().now().to_msg()
         if self.perception.is_late(depth):
+            self.get_logger().warning("depth: is no newer than the last image, left out", throttle_duration_sec=5.0)
             return
         try:
             estimate = self.perception(depth, info, mask)
@@ -75,6 +82,7 @@ class OmadNode(Node):
             self.markers.publish(make.nothing(header))
             return
         self.states.publish(make.joint_state(estimate, header))
+        self.probability.publish(make.probability(estimate))
         self.broadcaster.sendTransform(make.transforms(estimate, header))
         self.markers.publish(make.markers(estimate, header))
 
@@ -88,7 +96,7 @@ def main() -> None:
             rclpy.spin(node)
         finally:
             node.destroy_node()
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, ExternalShutdownException):
         pass
     except InputError as error:  # of its parameters
         sys.exit(f"omad: {error}")

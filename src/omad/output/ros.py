@@ -11,13 +11,14 @@ from .frame import CAMERA, Frame
 from .robots.robot import link_frames
 
 
-def ros_messages(estimate: Estimate, stamp_ns: int = 0, frame: Frame = CAMERA) -> dict[str, Any]:
+def ros_messages(estimate: Estimate, stamp_ns: int = 0, frame: Frame = CAMERA, prefix: str = "") -> dict[str, Any]:
     """``{"joint_state": JointState, "tf": TFMessage, "probability": that it is right, or None}`` of plain Python
     values. ``stamp_ns``: nanoseconds, when the image was taken. ``frame`` is the parent of the base link; each other
-    link hangs on its parent link, as in the URDF. Metres, radians; quaternions x, y, z, w."""
+    link hangs on its parent link, as in the URDF; ``prefix`` stands before links' names, so that they are not those of
+    a robot's links. Metres, radians; quaternions x, y, z, w."""
     seconds, rest = divmod(int(stamp_ns), 10**9)
     stamp = {"sec": seconds, "nanosec": rest}
-    names = [part.name for part in estimate.category.parts]
+    names = [prefix + part.name for part in estimate.category.parts]
     frames = link_frames(estimate)
     transforms = [_transform(stamp, frame.name, names[0], frame.T_frame_camera @ frames[0])]
     for child, parent in enumerate(estimate.category.tree.parents, start=1):

@@ -17,6 +17,7 @@ from .cameras import camera_from
 ENCODINGS: dict[str, tuple[str, int]] = {
     "16UC1": ("u2", 1), "mono16": ("u2", 1), "32FC1": ("f4", 1), "64FC1": ("f8", 1), "8UC1": ("u1", 1),
     "mono8": ("u1", 1), "8UC3": ("u1", 3), "rgb8": ("u1", 3), "bgr8": ("u1", 3), "rgba8": ("u1", 4), "bgra8": ("u1", 4),
+    "16SC1": ("i2", 1), "32SC1": ("i4", 1),
 }  # fmt: skip
 """Of ROS images: kind of number, and how many a pixel has."""
 FIELDS = ("i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8")
@@ -47,6 +48,8 @@ def depth_from(value: Any) -> DepthObject:
     image = image_from(value)
     if image is not value and isinstance(image, np.ndarray) and hasattr(value, "header") and image.dtype.kind == "u":
         image = in_metres(image)  # millimetres, by ROS's convention (REP 118)
+    elif image is not value and isinstance(image, np.ndarray) and image.dtype.kind == "i":
+        raise InputError(f"depth: encoding {value.encoding!r} is one of labels; send 16UC1 or 32FC1")
     return DepthObject(image)
 
 
