@@ -34,6 +34,8 @@ class Drill:
     """Whether another run writes the same bytes; if not, only the same files."""
     begun: tuple[str, ...] = ()
     """Files of ``checkpoint`` that lie in ``out`` already."""
+    small: tuple[tuple[str, str, int], ...] = ()
+    """Constants (module, name, value) that are smaller, so that it is done soon."""
 
 
 DRILLS = [
@@ -44,8 +46,8 @@ DRILLS = [
         ["render", *LAPTOP, "--objects", "2", "--views", "4", "--layout", "artimage", "--output", "out"],
     ),
     Drill("import", ["import", "models", "--category", SPEC, "--output", "out"]),
-    Drill("train prior", ["train", "prior", "--steps", "30", *TRAINED]),
-    Drill("train net", ["train", "net", "--steps", "20", *TRAINED]),
+    Drill("train prior", ["train", "prior", "--steps", "15", *TRAINED]),
+    Drill("train net", ["train", "net", "--steps", "10", *TRAINED]),
     Drill(
         "train surface",
         [
@@ -56,8 +58,9 @@ DRILLS = [
     ),
     Drill(
         "train confidence",
-        ["train", "confidence", *LAPTOP, "--weights", "out", "--objects", "4", "--views", "260"],
+        ["train", "confidence", *LAPTOP, "--weights", "out", "--objects", "4", "--views", "26"],
         begun=("config.json", "model.safetensors"),
+        small=tuple(("omad.evaluation.confidence.fitting", name, 10) for name in ("FEWEST", "STEPS")),
     ),
     Drill(
         "index",
@@ -88,7 +91,7 @@ def lay_out(drill: Drill) -> None:
 def begin(drill: Drill, largest: int | None = None) -> Command:
     """The command in a process of its own, whose files may have ``largest`` bytes at most."""
     lay_out(drill)
-    return Command(drill.arguments, largest)
+    return Command(drill.arguments, largest, drill.small)
 
 
 def kill_and_finish(drill: Drill, kills: int, seed: int) -> list[str]:

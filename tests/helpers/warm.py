@@ -2,10 +2,12 @@
 after a tenth of a second, so that what a drill does to them it does to their work."""
 
 import contextlib
+import importlib
 import multiprocessing
 import os
 import signal
 import sys
+from collections.abc import Iterable
 from functools import cache
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import ForkServerContext
@@ -27,11 +29,15 @@ def warm() -> ForkServerContext:
 
 class Command:
     """``omad ARGUMENTS`` in the folder at hand, at the head of a process group. None of its files may be larger than
-    ``largest`` bytes."""
+    ``largest`` bytes. ``constants``: modules, names in them, and what these are there."""
 
-    def __init__(self, arguments: list[str], largest: int | None = None) -> None:
+    def __init__(
+        self, arguments: list[str], largest: int | None = None, constants: Iterable[tuple[str, str, int]] = ()
+    ) -> None:
         self._said, said = warm().Pipe(duplex=False)
-        self._process = warm().Process(target=_run, args=(arguments, os.getcwd(), dict(os.environ), said, largest))
+        self._process = warm().Process(
+            target=_run, args=(arguments, os.getcwd(), dict(os.environ), said, largest, list(constants))
+        )
         self._process.start()
         said.close()
 
@@ -54,7 +60,14 @@ class Command:
         return self._process.exitcode, said.decode()
 
 
-def _run(arguments: list[str], folder: str, environment: dict[str, str], said: Connection, largest: int | None) -> None:
+def _run(
+    arguments: list[str],
+    folder: str,
+    environment: dict[str, str],
+    said: Connection,
+    largest: int | None,
+    constants: list[tuple[str, str, int]],
+) -> None:
     os.setsid()
     os.chdir(folder)
     os.environ.update(environment)
@@ -66,6 +79,8 @@ def _run(arguments: list[str], folder: str, environment: dict[str, str], said: C
         import resource  # not on Windows
 
         resource.setrlimit(resource.RLIMIT_FSIZE, (largest, largest))
+    for module, name, value in constants:
+        setattr(importlib.import_module(module), name, value)
     sys.argv = ["omad", *arguments]
     from omad.__main__ import main
 

@@ -14,8 +14,6 @@ KILLS = int(os.environ.get("OMAD_KILLS", "2"))
 SMALL = 200
 """Bytes, which no file may exceed where the disk is full."""
 KNOWN = {drill.name: drill for drill in DRILLS}
-KILLED = [name for name in KNOWN if name != "train confidence"]
-"""That one takes minutes: benchmarks/tools/kill_drill.py has it."""
 ESTIMATE = Drill("estimate", ["estimate", "frames/frame_00.png", *LAPTOP, *K, "--output", "out"])
 
 
@@ -25,7 +23,7 @@ def here(tmp_path, monkeypatch):
     prepare()
 
 
-@pytest.mark.parametrize("name", KILLED)
+@pytest.mark.parametrize("name", KNOWN)
 def test_what_was_killed_is_done_by_the_next_run(name):
     assert not kill_and_finish(KNOWN[name], KILLS, 0)
 
