@@ -74,7 +74,7 @@ def test_a_shard_that_lacks_rows_is_not_written(tmp_path):
         run_shards(plan(tmp_path / "out", Squares(tmp_path, short=True)), {}, here)
     with pytest.raises(WorkError, match="6 of 6 shards are missing"):
         run_shards(plan(tmp_path / "out", Squares(tmp_path)), {}, lambda plan, numbers: iter(()))
-    assert [path.name for path in (tmp_path / "out").iterdir()] == ["run.json"]
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["_run.json"]
 
 
 def test_at_an_address(tmp_path):
@@ -82,7 +82,7 @@ def test_at_an_address(tmp_path):
     whole = plan("memory://bucket/deep/out", Squares(tmp_path))
     assert_all_once(whole, run_shards(whole, {}, here))
     assert run_shards(whole, {}, here).earlier == TOTAL
-    assert whole.store.names() == {"run.json", *map(part_name, range(6))}
+    assert whole.store.names() == {"_run.json", *map(part_name, range(6))}
     assert plan(Path("memory://bucket/deep/out"), Squares(tmp_path)).store == whole.store
     with pytest.raises(InputError, match="cannot be reached"):
         Store.of("nosuch://bucket")

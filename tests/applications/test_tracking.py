@@ -336,3 +336,41 @@ def test_a_track_leaves_no_files_of_an_earlier_one(folder, capsys):
     assert mine.is_file()
     assert not [file for file in more if file.exists()]
     assert (output / "track.html").is_file()
+
+
+def test_a_first_frame_may_be_broken_and_options_that_are_wrong_for_all_leave_an_earlier_track(folder, capsys):
+    (folder / "0000.png").write_bytes(b"broken")
+    assert run(["track", str(folder), "--most", "3", *GIVEN]) == 2
+    out, err = capsys.readouterr()
+    assert json.loads(out)["status"]["tracking"] == 2
+    assert err.count("0000.png: ") == 1
+    before = {path: path.read_bytes() for path in Path("omad-track").iterdir()}
+    for wrong, said in (("--gravity=0,0,0", "has no direction"), ("--box=900,900,950,950", "box: 900")):
+        assert run(["track", str(folder), *GIVEN, wrong]) == 2
+        err = capsys.readouterr().err
+        assert said in err
+        assert len(err.splitlines()) == 1
+    assert {path: path.read_bytes() for path in Path("omad-track").iterdir()} == before
+
+
+def test_a_page_is_named_where_there_is_one(folder, capsys):
+    assert run(["track", str(folder), "--most", "1", *GIVEN[:-1]]) == 0
+    assert "page: omad-track/track.html" in capsys.readouterr().out
+    for path in folder.iterdir():
+        Image.new("I;16", (640, 480)).save(path)
+    assert run(["track", str(folder), "--most", "1", *GIVEN[:-1]]) == 1
+    assert "page:" not in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "said"),
+    [
+        ("truth", "frame,hinge\n0000.png,nan\n", "a line is short or holds no number"),
+        ("times", "0000.png,0\n0001.png,1\n0000.png,2\n", "line 3 names 0000.png again"),
+        ("times", "".join(f"000{i}.png,1\n" for i in range(10)), "the same time as 0000.png; correct the table"),
+    ],
+)
+def test_tables_that_say_nothing_are_refused(folder, name, content, said, capsys):
+    Path("table.csv").write_text(content)
+    assert run(["track", str(folder), f"--{name}", "table.csv", *GIVEN]) == 2
+    assert said in capsys.readouterr().err

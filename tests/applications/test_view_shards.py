@@ -97,7 +97,9 @@ def test_at_an_address():
     rendered("memory://bucket/views")
     found = loaded("memory://bucket/views")
     assert (found.total, len(list(islice(found.views, 4)))) == (TOTAL, 4)
-    with pytest.raises(InputError, match=r"no run\.json there; give a folder or an address that omad render --cluster"):
+    with pytest.raises(
+        InputError, match=r"no _run\.json there; give a folder or an address that omad render --cluster"
+    ):
         loaded("memory://bucket/nothing")
     with pytest.raises(InputError, match="cannot be reached"):
         loaded("nosuch://bucket/views")

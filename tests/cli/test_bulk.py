@@ -12,6 +12,7 @@ from PIL import Image
 from helpers.command_line import LAPTOP, K, answer, laptop_view, refused, save_png
 from helpers.warm import Command
 from omad.applications.bulk.results import Results
+from omad.applications.cluster import engines
 from omad.cli.main import run
 
 
@@ -104,6 +105,29 @@ def test_a_run_does_not_go_on_with_a_file_that_was_written_anew(capsys, monkeypa
     np.save("stack.npy", np.stack([laptop_view().depth] * 2) + 1)
     os.utime("stack.npy", (0, 0))
     assert "other inputs or settings" in refused(capsys, *usual)
+
+
+def test_a_run_does_not_go_on_with_another_camera_in_the_same_file(capsys, monkeypatch):
+    save_png("views/a.png")
+    Path("k.txt").write_text("600 0 319.5 0 600 239.5 0 0 1")
+    usual = ["bulk", "views", *LAPTOP, "--intrinsics", "k.txt", "--output", "out.jsonl"]
+    with monkeypatch.context() as killed:
+        killed.setattr(Results, "finish", lambda _: None)
+        answer(capsys, *usual)
+    Path("k.txt").write_text("500 0 319.5 0 500 239.5 0 0 1")
+    os.utime("k.txt", (0, 0))
+    assert "other inputs or settings" in refused(capsys, *usual)
+
+
+def test_shards_are_read_by_other_programs_and_lie_in_a_folder_of_their_own(capsys, monkeypatch):
+    parquet = pytest.importorskip("pyarrow.parquet", reason="Parquet files need PyArrow: pip install 'omad[parquet]'")
+    monkeypatch.setattr(engines, "choose_engine", lambda *_, **__: lambda plan, numbers: map(plan, numbers))
+    for name in "abc":
+        save_png(f"views/{name}.png")
+    usual = ["bulk", "views", *LAPTOP, *K, "--cluster", "--shard", "2", "--output"]
+    assert answer(capsys, *usual, "out")["shards"] == 2
+    assert parquet.read_table("out").num_rows == 3
+    assert "--output views: is one of the inputs" in refused(capsys, *usual, "views")
 
 
 def test_a_full_disk_is_told_of_with_the_file(capsys):

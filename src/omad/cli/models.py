@@ -24,7 +24,7 @@ with lazy_imports():
     from omad.data.artimage import write_artimage
     from omad.data.rendering import depth_noise as noises
     from omad.data.rendering.view_folder import render_to_folder
-    from omad.data.shards.views import run_record
+    from omad.data.shards.views import is_view_shards, run_record
     from omad.data.source import load_models
     from omad.data.urdf_import.importing import import_folder
     from omad.objects.category import Category
@@ -145,6 +145,8 @@ class Render:
         source = load_models(self.source, category, self.objects, self.split, self.seed)
         if self.scale.cluster:
             return self._in_shards(category, source.models, workers)
+        if is_view_shards(str(self.output)):
+            raise InputError(f"{self.output}: is for views in shards; give --cluster, or another folder")
         noise, drawn = noises.LEVELS[self.depth_noise], (source.models, category, self.output, self.views)
         if self.layout == "artimage":
             write_artimage(*drawn, self.split, self.seed, noise, workers, progress=True)

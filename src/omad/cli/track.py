@@ -29,6 +29,7 @@ with lazy_imports():
     from omad.applications.tracking.tracker import Tracker, TrackerConfig
     from omad.common.incoming import is_file
     from omad.common.runtime import keep_freed_memory
+    from omad.estimation.world import known_gravity
     from omad.output.formats import check_formats
     from omad.sensing.foreign import realsense
     from omad.sensing.foreign.bags import Topics, is_bag
@@ -105,6 +106,8 @@ class Track(CategoryCommand):
         places = None if self.world is None else CameraPlaces(self.world)
         if self.gravity == "world" and places is None:
             raise InputError("--gravity world: needs --world with T_world_camera, z up")
+        if self.gravity != "world":
+            known_gravity(self.gravity, None)  # a wrong one is wrong for every frame
         frames = self._frames(stream)
         keep_freed_memory()
         estimator = self.estimator(self.fast)
@@ -174,7 +177,10 @@ def track_text(answer: dict[str, Any]) -> str:
     each = f", {1000 * answer['seconds_per_frame']:.0f} ms each" if answer["frames"] else ""
     lost = len(answer["refused"])
     refused = [f"refused: {lost} frames, named in summary.json"] if lost else []
-    page = f"page: {Path(answer['output']) / 'track.html'}"
+    file = Path(answer["output"]) / "track.html"
+    page = [f"page: {file}"] if file.is_file() else []
     unsure = answer["doubtful"]
     doubtful = [f"doubtful: {unsure} frames, rather wrong than right; states.csv says which"] if unsure else []
-    return "\n".join([table(rows), f"frames: {answer['frames']} ({counts or 'none'}{each})", *doubtful, page, *refused])
+    return "\n".join(
+        [table(rows), f"frames: {answer['frames']} ({counts or 'none'}{each})", *doubtful, *page, *refused]
+    )

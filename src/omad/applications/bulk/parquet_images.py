@@ -18,7 +18,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from omad.common.errors import InputError
+from omad.common.errors import InputError, WorkError
 from omad.common.files import one_line
 from omad.data.shards.parquet import import_pyarrow
 from omad.data.shards.store import Store
@@ -58,6 +58,7 @@ class ParquetImages:
         try:
             file = parquet.ParquetFile(path if isinstance(path, Path) else _opened(path))
         except Exception as error:
+            _check_reached(path, error)
             raise InputError(f"{path}: not readable as Parquet ({one_line(error)}); export it again") from error
         found = file.schema_arrow.names
         if "depth" not in found:
@@ -93,6 +94,7 @@ class ParquetImages:
                     )
                 start += batch.num_rows
         except OSError as error:
+            _check_reached(self.path, error)
             raise InputError(f"{self.path}: damaged ({one_line(error)}); copy it anew") from error
 
     def _load(self, values: dict[str, Any]) -> Observation:
@@ -115,6 +117,12 @@ class ParquetImages:
         if scale is None and "depth_scale" in values:
             scale = values["depth_scale"].as_py()
         return self.reader.observe(in_metres(depth, scale, self.reader.metres_per_integer()), mask, camera)
+
+
+def _check_reached(path: Path | str, error: Exception) -> None:
+    """Raises WorkError for what may go well the next time: a disk elsewhere or a network did not answer."""
+    if not isinstance(path, Path) and isinstance(error, OSError) and not isinstance(error, FileNotFoundError):
+        raise WorkError(f"{path}: cannot be read ({one_line(error)}); run it again") from error
 
 
 def _opened(address: str) -> Any:

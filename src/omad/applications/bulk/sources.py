@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from omad.common.errors import InputError
-from omad.common.incoming import address_of, map_array, read_arrays
+from omad.common.incoming import address_of, is_file, map_array, read_arrays
 from omad.data.shards.store import Store
 from omad.sensing.beside import is_companion
 from omad.sensing.depth_files import called, in_metres
@@ -34,8 +34,8 @@ class Source:
     after: Callable[[int], Iterator[Frame]]
     """Its frames without the first so many, which are not read."""
     listed: str = ""
-    """A digest of what files were in folders, and of when those that were named were written: with others there, rows
-    are of others."""
+    """A digest of what files were in folders, and of when those that were named, cameras and masks among them, were
+    written: with others there, rows are of others."""
 
 
 def open_sources(
@@ -89,7 +89,9 @@ def open_sources(
         single = [name for name in group.names if Path(name).suffix.lower() != SUFFIX]
         sources.append(_single(_Group(group.folder, single), reader))
     names = [os.fsencode(name) for group in groups.values() for name in group.names]
-    written = [_written(path) for path in (*local, reading.mask) if path is not None and path.is_file()]
+    cameras = (reading.intrinsics, frame.color_intrinsics, frame.color_extrinsics)
+    told = [Path(each) for each in (*local, reading.mask, *cameras) if each is not None]
+    written = [_written(path) for path in told if is_file(path)]
     return _chained(sources, hashlib.sha256(b"\0".join(names + written)).hexdigest())
 
 

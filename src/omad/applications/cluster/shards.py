@@ -15,6 +15,7 @@ from typing import Any, Protocol, TypeAlias
 from omad.common.batches import progress
 from omad.common.errors import InputError, WorkError
 from omad.common.incoming import parse_json
+from omad.data.rendering.view_folder import DATASET
 from omad.data.shards.parquet import RUN, import_pyarrow, part_name
 from omad.data.shards.store import Store
 
@@ -185,7 +186,7 @@ def _begin(plan: Plan, made_of: dict[str, Any]) -> None:
     if RUN in there:
         if parse_json(plan.store.read(RUN), f"{place}/{RUN}") != json.loads(json.dumps(record)):
             raise InputError(f"{place}: holds what was made of other inputs or settings; give another --output")
-    elif any(name.startswith("part-") for name in there):
+    elif DATASET in there or any(name.startswith("part-") for name in there):
         raise InputError(f"{place}: holds files of another program; give another --output")
     else:
         plan.store.write(RUN, json.dumps(record).encode())

@@ -80,7 +80,8 @@ def frames_of(folder: Path, clock: Clock) -> list[FrameFile]:
     frames = sorted((FrameFile(path, clock(path)) for path in paths), key=lambda frame: frame.time)
     for one, other in zip(frames, frames[1:], strict=False):
         if one.time == other.time:
-            raise InputError(f"{other.path}: has the same time as {one.path.name}; give the times with --times")
+            cure = "give the times with --times" if clock.table is None else "correct the table of times"
+            raise InputError(f"{other.path}: has the same time as {one.path.name}; {cure}")
     return frames
 
 
@@ -119,8 +120,10 @@ def read_times(path: Path) -> dict[str, float]:
     for number, row in enumerate(read_rows(path), 1):
         if not row:
             continue
+        if (name := row[0].strip()) in times:
+            raise InputError(f"{path}: line {number} names {shown(name)} again; leave one out")
         try:
-            times[row[0].strip()] = seconds_of(row[1])
+            times[name] = seconds_of(row[1])
         except (IndexError, ValueError) as error:
             if number > 1:
                 raise InputError(f"{path}: line {number} is not 'name,seconds'; correct it") from error
@@ -138,9 +141,16 @@ def read_truth(path: Path, joints: tuple[str, ...]) -> dict[str, list[float]]:
         raise InputError(f"{path}: has no column {missing[0]!r}; needed: frame, {', '.join(joints)}")
     frame, columns = head.index("frame"), [head.index(name) for name in joints]
     try:
-        return {row[frame].strip(): [float(row[column]) for column in columns] for row in rows[1:] if row}
+        return {row[frame].strip(): [_state(row[column]) for column in columns] for row in rows[1:] if row}
     except (IndexError, ValueError) as error:
         raise InputError(f"{path}: a line is short or holds no number ({error}); correct it") from error
+
+
+def _state(text: str) -> float:
+    """Raises ValueError."""
+    if not math.isfinite(state := float(text)):
+        raise ValueError(f"{text.strip()} is no state")
+    return state
 
 
 def read_rows(path: Path) -> list[list[str]]:

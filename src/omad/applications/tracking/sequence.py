@@ -34,6 +34,8 @@ from .tracker import TrackedEstimate, Tracker
 FRAMES = "frames.jsonl"
 SUMMARY = "summary.json"
 LAST = "last"
+TRIED = 3
+"""First frames that may be broken; where more are, it is the options that are wrong."""
 OF_A_TRACK = (FRAMES, "states.csv", "states.png", "track.html", "track.gif", "track.rrd")
 """Files of a track beside its summary; some tracks have all of them."""
 
@@ -59,6 +61,8 @@ class TrackedSequence:
     files: list[FrameFile] = field(default_factory=list)
     tracked: list[TrackedEstimate] = field(default_factory=list)
     refused: list[dict[str, str]] = field(default_factory=list)
+    untold: list[FrameFile] = field(default_factory=list)
+    """Of the refused ones the last, while it may be that all are."""
     seconds: list[float] = field(default_factory=list)
     page: TrackPage = field(default_factory=TrackPage)
     last: tuple[Estimate, Observation, np.ndarray | None] | None = None
@@ -93,6 +97,8 @@ class TrackedSequence:
             if observation is not None and tracked.status == "tracking" and tracked.estimate is not None:
                 self.last = tracked.estimate, observation, T_world_camera
             self._draw(frame, observation, tracked)
+        if self.refused and not (self.began or self.stream):
+            raise InputError(self.refused[-1]["reason"])
 
     def _draw(self, frame: FrameFile, observation: Observation | None, tracked: TrackedEstimate) -> None:
         self.page.add(frame.path.name, observation, tracked)
@@ -110,17 +116,25 @@ class TrackedSequence:
         except NothingSeen:
             observation = None
         self.began = True
+        self._tell_refused()
         return observation
 
     def _refuse(self, frame: FrameFile, error: Exception) -> None:
         reason = one_line(error)
         if str(frame.path) not in reason:
             reason = f"{frame.path}: {reason}"
-        if not (self.began or self.stream):
-            raise InputError(reason) from error  # the options are wrong for every frame
-        print(f"omad: {reason}", file=sys.stderr)
         self.refused.append({"frame": frame.path.name, "reason": reason})
-        self._write({"frame": frame.path.name, "time": frame.time, "status": "refused", "reason": reason})
+        self.untold.append(frame)
+        if self.began or self.stream:
+            self._tell_refused()
+        elif len(self.refused) == TRIED:
+            raise InputError(reason) from error  # the options are wrong for every frame
+
+    def _tell_refused(self) -> None:
+        for frame, refused in zip(self.untold, self.refused[-len(self.untold) :], strict=False):
+            print(f"omad: {refused['reason']}", file=sys.stderr)
+            self._write({"time": frame.time, "status": "refused", **refused})
+        self.untold.clear()
 
     def _write(self, answer: dict[str, Any]) -> None:
         text = json.dumps(plain(answer), allow_nan=False)

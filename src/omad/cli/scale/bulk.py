@@ -84,6 +84,8 @@ class Bulk(CategoryCommand):
         weights = everywhere(self.weights) or self.category
         self.estimator(self.fast)  # what is wrong with weights is said here, not by every machine
         inputs = tuple(map(everywhere, self.inputs))
+        if everywhere(self.output) in inputs:
+            raise InputError(f"--output {self.output}: is one of the inputs; give a folder of its own")
         reading, frame = _everywhere(self.reading), _everywhere(self.frame)
         work = BulkWork(inputs, reading, frame, weights, self.device, self.fast, self.batch)
         done = self.scale.run(work, source.total, self.output, self._made_of(source), workers, self.device)

@@ -23,20 +23,17 @@ from dataclasses import asdict, dataclass, field, fields, replace
 from functools import partial
 from itertools import islice
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 import torch
 from tqdm import tqdm
 
-from omad.common.decode import Shape, Within
 from omad.common.errors import InputError
 from omad.common.files import write_json
 from omad.common.incoming import decoded, is_file, read_image, read_json, read_record
-from omad.common.limits import limits
 from omad.common.processes.workers import helpers
 from omad.geometry.camera import STANDARD_CAMERA, Camera
-from omad.geometry.rigid import is_rotation
 from omad.objects.category import Category
 from omad.objects.model import ObjectModel
 from omad.sensing.depth_files import read_depth
@@ -46,81 +43,12 @@ from .depth_noise import NoiseLevel
 from .spoils.spoiling import cluttered
 from .standard_views import ObjectTruth, View, ViewSeed, standard_view, view_seed
 from .stored_images import where_stored, write_depth, write_png
+from .view_records import FORMAT, DatasetRecord, ObjectRecord, ViewRecord, check_truth
 
-FORMAT = "omad-views-1"
+DATASET = "dataset.json"
+CURE = "give a folder as omad render makes it"
 REACH = 11.0
 """No standard view of an object is farther than this, in category units."""
-UNIT = 1e-3
-"""By which the length of an axis may differ from one."""
-
-CURE = "give a folder made by omad render"
-_PerJoint = Annotated[np.ndarray, Shape(None, 3)]
-
-
-@dataclass(frozen=True)
-class _Dataset:
-    """dataset.json."""
-
-    format: str
-    category: str
-    camera: Camera
-    depth_scale: Annotated[float, Within(1e-9, 1e3)]
-    objects: tuple[str, ...]
-    views: Annotated[int, Within(0, 10_000_000)]
-    seed: int = 0
-    noise: NoiseLevel | None = None
-    finished: bool = True
-    clutter: bool = False
-
-    def __post_init__(self) -> None:
-        _check_camera(self.camera)
-        if not self.objects:
-            raise ValueError("objects: is empty; give at least one")
-
-
-@dataclass(frozen=True)
-class _ObjectRecord:
-    """object.json."""
-
-    axes: _PerJoint
-    pivots: _PerJoint
-    limits: Annotated[np.ndarray, Shape(None, 2)]
-    part_boxes: Annotated[np.ndarray, Shape(None, 2, 3)]
-    of_other_hand: bool = False
-    name: str | None = None
-
-    def __post_init__(self) -> None:
-        if not (np.abs(np.linalg.norm(self.axes, axis=-1) - 1) < UNIT).all():
-            raise ValueError("axes: are no unit vectors; give directions of length one")
-        for key, ranges in (("limits", self.limits), ("part_boxes", self.part_boxes)):
-            if not (ranges[:, 0] <= ranges[:, 1]).all():
-                raise ValueError(f"{key}: are the wrong way round; give the least first")
-
-
-@dataclass(frozen=True)
-class ViewRecord:
-    """Where the object of one view is, and its camera where that is its own."""
-
-    states: Annotated[np.ndarray, Shape(None)]
-    T_camera_base: Annotated[np.ndarray, Shape(4, 4)]
-    seed: tuple[int, ...] | None = None
-    """None: that of its place in the folder."""
-    camera: Camera | None = None
-
-    def __post_init__(self) -> None:
-        if self.camera is not None:
-            _check_camera(self.camera)
-        if not is_rotation(self.T_camera_base[:3, :3]):
-            raise ValueError("T_camera_base: its 3x3 part is no rotation; give that of the base before the camera")
-
-
-def _check_camera(camera: Camera) -> None:
-    """Raises ValueError for a camera that takes no images."""
-    for name in ("width", "height"):
-        if not 1 <= getattr(camera, name) <= limits().image_side:
-            raise ValueError(f"camera.{name}: is {getattr(camera, name)}; give pixels")
-    if not (min(camera.fx, camera.fy) > 0 and max(map(abs, (camera.fx, camera.fy, camera.cx, camera.cy))) < 1e7):
-        raise ValueError("camera: fx, fy, cx or cy is none of a camera; give pixels")
 
 
 @dataclass(frozen=True)
@@ -178,17 +106,23 @@ class ViewFolder:
         mask_file = stem.with_suffix(".mask.png")
         mask = read_image(mask_file, mask_file) > 0 if mask_file.exists() else None
         images = [depth, labels] if mask is None else [depth, labels, mask]
-        if any(image.shape != (camera.height, camera.width) for image in images):
-            raise InputError(f"{stem}: image sizes do not fit the camera; delete {stem}.json and render again")
+        for image in images:
+            if image.shape != (camera.height, camera.width):
+                sizes = f"an image of {image.shape[::-1]} pixels for a camera of {camera.width, camera.height}"
+                raise InputError(f"{stem}: {sizes}; give all images the camera's size, or render the view again")
         if len(record.states) != len(truth.axes):
             raise InputError(f"{stem}.json: states: {len(record.states)} for {len(truth.axes)} joints; {CURE}")
+        try:
+            check_truth(record, truth, camera, depth, labels)
+        except ValueError as error:
+            raise InputError(f"{stem}: {error}") from error
         seed = seed if record.seed is None else record.seed
         return View(truth, depth, labels, camera, record.states, record.T_camera_base, seed, mask)
 
 
 def is_view_folder(folder: str | Path) -> bool:
     """Whether ``render_to_folder`` made, or began, this folder."""
-    return is_file(Path(folder) / "dataset.json")
+    return is_file(Path(folder) / DATASET)
 
 
 def open_views(folder: str | Path, broken: Broken = "refuse", category: Category | None = None) -> ViewFolder:
@@ -196,11 +130,11 @@ def open_views(folder: str | Path, broken: Broken = "refuse", category: Category
     is given, or is not finished; while its views are read, at the first broken file, or with ``broken="skip"`` leaves
     out the view or the object that it belongs to, says so on stderr, and lists it."""
     path = Path(folder)
-    values = read_json(path / "dataset.json", CURE)
+    values = read_json(path / DATASET, CURE)
     found = values.get("format") if isinstance(values, dict) else None
     if found != FORMAT:
         raise InputError(f"{path / 'dataset.json'}: format {found!r} is not {FORMAT}; render it again")
-    record = decoded(_Dataset, values, path / "dataset.json", CURE)
+    record = decoded(DatasetRecord, values, path / DATASET, CURE)
     if not record.finished:
         raise InputError(f"{path}: rendering was interrupted; give the same render command again to finish it")
     if category is not None and record.category != category.name:
@@ -232,7 +166,7 @@ def render_to_folder(
         raise InputError(f"{path}: rendering needs object models, each with a name of its own; got {names}")
     if any(Path(name).name != name for name in names):
         raise InputError(f"{path}: an object's name becomes a folder's name; rename one of {names}")
-    scale, dataset = depth_scale_of(category), path / "dataset.json"
+    scale, dataset = depth_scale_of(category), path / DATASET
     camera = _camera_record(STANDARD_CAMERA)
     record = {"format": FORMAT, "category": category.name, "camera": camera, "depth_scale": scale, "seed": seed}
     record |= {"noise": asdict(noise) if noise else None, "objects": names}
@@ -368,7 +302,7 @@ def _truth_record(model: ObjectModel) -> dict[str, Any]:
 
 def _read_truth(folder: Path, joints: int | None) -> ObjectTruth:
     file = folder / "object.json"
-    record = read_record(_ObjectRecord, file, CURE)
+    record = read_record(ObjectRecord, file, CURE)
     if joints not in (None, len(record.axes)):
         raise InputError(
             f"{file}: axes: of {len(record.axes)} joints, where the category has {joints}; render it again"

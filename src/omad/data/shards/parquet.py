@@ -1,6 +1,6 @@
 """The files of a run in shards.
 
-<place>/run.json           what the rows are made of, how many there are (``total``) and how many a file has (``shard``)
+<place>/_run.json          what the rows are made of, how many there are (``total``) and how many a file has (``shard``)
 <place>/part-000000.parquet, part-000001.parquet ...
 """
 
@@ -8,7 +8,8 @@ from typing import Any
 
 from omad.common.errors import InputError
 
-RUN = "run.json"
+RUN = "_run.json"
+"""Engines for Parquet pass over names that begin so."""
 
 
 def part_name(number: int) -> str:

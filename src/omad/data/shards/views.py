@@ -27,7 +27,7 @@ from omad.sensing.depth_files import parse_depth
 
 from ..rendering.standard_views import ObjectTruth, View
 from ..rendering.stored_images import as_stored, where_stored
-from ..rendering.view_folder import ViewRecord
+from ..rendering.view_records import ViewRecord
 from .parquet import RUN, import_pyarrow, part_name
 from .store import Store
 
