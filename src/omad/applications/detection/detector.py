@@ -50,7 +50,7 @@ class Detection:
     probabilities: dict[str | None, float]
     """Of each category, likeliest first; None: of none of them."""
     estimate: Estimate | None
-    """By its category, of its steadied points; None where it is of none."""
+    """By its category, of its steadied points; None where it is of none, or several share the probability."""
     evidence: dict[str, np.ndarray]
     """(13,) what speaks ``against`` each category that was fitted, of about its size, and proposed; its front last."""
 
@@ -60,12 +60,12 @@ class Detection:
 
     @property
     def category(self) -> str | None:
-        """None: none of those that were asked for."""
+        """None: none of those that were asked for, or several of them, which ``likely`` names."""
         return None if self.estimate is None else self.estimate.category.name
 
     @property
     def probability(self) -> float:
-        """That it is of its category; where it is of none, that it is indeed of none."""
+        """That it is of its category; without one, that it is of none."""
         return self.probabilities[self.category]
 
     @property

@@ -35,6 +35,7 @@ _SAYS = {
     400: "the one line that says what is wrong",
     408: "the body came too slowly",
     413: "the body is too large",
+    500: "the work failed; the log says more",
     503: "as many requests as are taken on are here already",
     504: "no answer in time",
 }
