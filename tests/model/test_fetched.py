@@ -6,7 +6,7 @@ import shutil
 import threading
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
-from pathlib import Path
+from pathlib import Path, PureWindowsPath
 from typing import ClassVar
 
 import numpy as np
@@ -162,5 +162,7 @@ def test_addresses_are_told_from_folders():
     assert address_of("laptop") is None
     assert address_of(Path("/a/b")) is None
     assert address_of("C:/weights") is None
+    assert address_of(PureWindowsPath("C:/weights")) is None
+    assert address_of(PureWindowsPath("s3://bucket/some/weights")) == "s3://bucket/some/weights"
     assert address_of(Path("https://a/b")) == "https://a/b"
     assert address_of(Path("file:///a/b")) == address_of("file:///a/b") == "file:///a/b"

@@ -3,9 +3,10 @@
 import contextlib
 import errno
 import importlib.util
+import os
 import socket
 import sys
-import threading
+import time
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -70,7 +71,8 @@ class Explore(CategoryCommand):
                 if fit is not None:
                     page.show_fit(fit)
                 print(f"omad: {url} (Ctrl-C ends it)", file=sys.stderr, flush=True)
-                threading.Event().wait()
+                while True:  # Windows tells a wait without an end of no Ctrl-C
+                    time.sleep(1)
         except KeyboardInterrupt:  # SIGTERM, too
             print("omad: ended", file=sys.stderr)
         finally:
@@ -92,7 +94,8 @@ def free_port(host: str, port: int) -> int:
     if not 0 <= port <= LAST_PORT:
         raise InputError(f"--port {port}: give one between 0 and {LAST_PORT}")
     with socket.socket() as trial:
-        trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # a port that was just left is free
+        if os.name == "posix":  # a port that was just left is free; on Windows each would be
+            trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             trial.bind((host, port))
         except PermissionError as error:

@@ -16,7 +16,7 @@ import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import fields
-from pathlib import Path
+from pathlib import Path, PurePath, PureWindowsPath
 from typing import Any, TypeVar, cast
 
 import numpy as np
@@ -77,13 +77,15 @@ def is_path(path: Any) -> bool:
         return False
 
 
-def address_of(place: str | Path) -> str | None:
+def address_of(place: str | PurePath) -> str | None:
     """The address (``https://``, ``s3://`` ...) that a place is at; None for what is none, as a folder. A path forgets
-    one of two slashes."""
-    found = re.match(r"([A-Za-z][\w+.-]+):/+", str(place))
+    one of two slashes, and turns them round on Windows, where ``C:`` is a drive."""
+    found = re.match(r"([A-Za-z][\w+.-]+):[/\\]+", str(place))
     if found is None:
         return None
-    return f"{found[1]}://{'/' if found[1] == 'file' else ''}{str(place)[found.end() :]}"
+    rest = str(place)[found.end() :]
+    rest = rest.replace("\\", "/") if isinstance(place, PureWindowsPath) else rest
+    return f"{found[1]}://{'/' if found[1] == 'file' else ''}{rest}"
 
 
 def as_path(path: Any, what: str) -> Path:

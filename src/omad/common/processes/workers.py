@@ -13,8 +13,9 @@ from .signals import ignore_ctrl_c
 
 
 def helpers(count: int, begin: Callable[..., None], *told: Any) -> ProcessPoolExecutor:
-    """``count`` fresh processes, each of which begins with ``begin(*told)``."""
+    """``count`` fresh processes (Windows has no more than 61), each of which begins with ``begin(*told)``."""
     spawn = multiprocessing.get_context("spawn")  # fork would copy the locks of running threads
+    count = min(count, 61) if os.name == "nt" else count
     pool = ProcessPoolExecutor(count, spawn, _begin, (begin, *told))
     # they start with the first thing to do, and inherit what is ignored: Ctrl-C before they are ready would make each
     # of them print how far it had come

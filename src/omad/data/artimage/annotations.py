@@ -1,6 +1,5 @@
 """Annotations of an ArtImage download as they stand in their files."""
 
-import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -56,7 +55,7 @@ def read_annotation(layout: Layout, name: str, parts: int) -> Annotation:
     T_camera_base, *_ = field("transformation", rigid, lambda: [_rigid(link["transformation"]) for link in links])
     numbers = "a number of each link but the base"
     states = field("state", numbers, lambda: _finite([link["state"] for link in links[1:]], parts - 1).tolist())
-    if os.path.isabs(depth) or ".." in Path(depth).parts:
+    if Path(depth).anchor or ".." in Path(depth).parts:  # on Windows "/x" and "C:x" are not absolute, and elsewhere
         raise InputError(f"{path}: field 'depth_path' leaves the folder of the images; {AGAIN}")
     mask = depth.replace("depth", "category_mask")
     return Annotation(path, thing, box, layout.images / depth, layout.images / mask, T_camera_base, states)

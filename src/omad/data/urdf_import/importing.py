@@ -259,8 +259,16 @@ def _stamp(path: Path, mesh_folder: Path | None) -> str:
         found = filter(None, map(MeshFiles(urdf, folder=mesh_folder).find, named))
         files |= {file for file in found if not file.is_relative_to(folder.resolve())}
     stats = ((file, file.stat()) for file in sorted(files))
-    text = "\n".join(f"{os.path.relpath(file, folder)} {stat.st_size} {stat.st_mtime_ns}" for file, stat in stats)
+    text = "\n".join(f"{_place(file, folder)} {stat.st_size} {stat.st_mtime_ns}" for file, stat in stats)
     return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _place(file: Path, folder: Path) -> str:
+    """As seen from the folder, so that both may be moved; on Windows they may lie on two drives."""
+    try:
+        return os.path.relpath(file, folder)
+    except ValueError:
+        return str(file)
 
 
 def _in_general(reason: str) -> str:

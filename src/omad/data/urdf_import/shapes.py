@@ -37,7 +37,7 @@ class MeshFiles:
 
     def find(self, filename: str) -> Path | None:
         """The file in one of these folders, with or without its package's name; None where it is in none."""
-        name = Path(re.sub(r"^(package|file)://", "", filename))
+        name = Path(re.sub(r"^(package://|file:///(?=[A-Za-z]:)|file://)", "", filename))
         names = [name, Path(*name.parts[1:])] if filename.startswith("package://") else [name]
         beside = self.urdf.resolve().parent
         for root in self._roots():

@@ -17,7 +17,7 @@ from omad.common.incoming import read_arrays
 from omad.common.processes.locks import only_one
 
 from ..index import Entry, Hit, ShapeIndex, hit_of, nearest_objects, whole
-from ..search import Neighbours
+from ..search import Neighbours, faiss
 from ..signature import Signature, Space, information_factor
 from . import lists as ivf
 from .manifest import (
@@ -79,6 +79,8 @@ class LargeIndex:
                 said = f"is a catalogue of prior {found.space.prior} and metric {found.space.metric}"
                 raise InputError(f"{folder}: {said}; choose another folder, or the same weights and --metric")
             return found
+        if not hasattr(faiss(), "OnDiskInvertedLists"):
+            raise InputError(f"{folder}: FAISS has no lists on disk here, as on Windows; use --backend exact or faiss")
         make_folder(folder)
         with only_one(folder, WRITER):
             there = {path.name for path in folder.iterdir() if not path.name.startswith(TEMPORARY)}
