@@ -14,6 +14,7 @@ from helpers.warm import Command
 from omad.applications.bulk.results import Results
 from omad.applications.cluster import engines
 from omad.cli.main import run
+from omad.data.shards.store import Store
 
 
 @pytest.fixture(autouse=True)
@@ -128,6 +129,22 @@ def test_shards_are_read_by_other_programs_and_lie_in_a_folder_of_their_own(caps
     assert answer(capsys, *usual, "out")["shards"] == 2
     assert parquet.read_table("out").num_rows == 3
     assert "--output views: is one of the inputs" in refused(capsys, *usual, "views")
+
+
+def test_a_store_that_does_not_answer_is_no_bad_input(capsys, monkeypatch):
+    """What is tried again, in shards; a file that is no Parquet is not."""
+    pytest.importorskip("fsspec", reason="addresses need fsspec: pip install 'omad[cluster]'")
+    pytest.importorskip("pyarrow", reason="Parquet files need PyArrow: pip install 'omad[parquet]'")
+    Store.of("memory://bucket").write("a.parquet", b"PAR1")
+    usual = ["bulk", "memory://bucket/a.parquet", *LAPTOP, *K, "--output", "out.jsonl"]
+    assert "not readable as Parquet" in refused(capsys, *usual)
+
+    def busy(*_) -> None:
+        raise OSError("503 Slow Down")
+
+    monkeypatch.setattr(Store, "open", busy)
+    assert run(usual) == 1
+    assert "a.parquet: cannot be read (503 Slow Down); run it again" in capsys.readouterr().err
 
 
 def test_a_full_disk_is_told_of_with_the_file(capsys):
