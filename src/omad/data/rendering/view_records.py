@@ -115,11 +115,12 @@ def check_truth(view: ViewRecord, truth: ObjectTruth, camera: Camera, depth: np.
     low, high = truth.limits.T
     if (np.maximum(low - view.states, view.states - high) > high - low + SLACK).any():
         raise ValueError("states: are far beyond the limits; give radians, or metres of what slides")
-    rows, columns = np.nonzero(shown & (depth > 0))
+    rows, columns = np.nonzero(shown & (depth > 0) & (depth < FARTHEST))
     if len(rows):
         z = depth[rows, columns]
         seen = np.median([(columns - camera.cx) / camera.fx * z, (rows - camera.cy) / camera.fy * z, z], axis=1)
         apart = float(np.linalg.norm(view.T_camera_base[:3, 3] - seen))
         if apart > FARTHEST_FROM_ITS_PIXELS * truth.diagonal:
             told = f"puts the object {apart:.2f} m from where its pixels are"
-            raise ValueError(f"T_camera_base: {told}; give that of the base before the camera, in metres")
+            cure = "give that of the base before the camera, in metres, as depth_scale tells of the pixels"
+            raise ValueError(f"T_camera_base: {told}; {cure}")
