@@ -324,7 +324,7 @@ def test_a_histogram_is_cumulative():
 @pytest.mark.slow
 def test_bounds_hold():
     """Too large, too many, too slow."""
-    with served("--seconds", "4", "--queue", "3", "--body-bytes", "2000000", "--workers", "1") as small:
+    with served("--seconds", "2", "--queue", "3", "--body-bytes", "2000000", "--workers", "1") as small:
         large = form(fields(depth=b"x" * 2_500_000))
         assert small.ask("POST", "/estimate", large, {"Content-Type": FORM}).status == 413
         lines = ["POST /estimate HTTP/1.1", "Host: 127.0.0.1", f"Content-Type: {FORM}", "Transfer-Encoding: chunked"]

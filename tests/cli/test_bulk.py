@@ -108,15 +108,22 @@ def test_a_run_does_not_go_on_with_a_file_that_was_written_anew(capsys, monkeypa
     assert "other inputs or settings" in refused(capsys, *usual)
 
 
-def test_a_run_does_not_go_on_with_another_camera_in_the_same_file(capsys, monkeypatch):
+@pytest.mark.parametrize("anew", ["views/a.png", "views/a.mask.png", "views/camera.json", "masks/a.png", "k.txt"])
+def test_a_run_does_not_go_on_with_what_was_written_anew(anew, capsys, monkeypatch):
+    """An image, or what says how to read it, of the same name and size."""
     save_png("views/a.png")
+    Path("masks").mkdir()
+    for mask in ("views/a.mask.png", "masks/a.png"):
+        Image.fromarray(np.uint8(255 * (laptop_view().depth > 0))).save(mask)
+    Path("views/camera.json").write_text('{"fx": 600, "fy": 600, "cx": 319.5, "cy": 239.5}')
     Path("k.txt").write_text("600 0 319.5 0 600 239.5 0 0 1")
-    usual = ["bulk", "views", *LAPTOP, "--intrinsics", "k.txt", "--output", "out.jsonl"]
+    beside = [] if anew.startswith("views") else ["--intrinsics", "k.txt", "--mask", "masks"]
+    usual = ["bulk", "views", *LAPTOP, *beside, "--output", "out.jsonl"]
     with monkeypatch.context() as killed:
         killed.setattr(Results, "finish", lambda _: None)
-        answer(capsys, *usual)
-    Path("k.txt").write_text("500 0 319.5 0 500 239.5 0 0 1")
-    os.utime("k.txt", (0, 0))
+        assert answer(capsys, *usual)["refused"] == 0
+    assert len(Path("out.jsonl.part").read_bytes().splitlines()) == 1
+    os.utime(anew, (0, 0))
     assert "other inputs or settings" in refused(capsys, *usual)
 
 

@@ -184,7 +184,7 @@ def test_right_focal_lengths_are_hardly_ever_doubted(name):
 
     estimator, category = Estimator.from_pretrained(name), get_category(name)
     doubted = []
-    for i in range(20):
+    for i in range(10):
         view = standard_view(generate(category, 50 + i, "test"), category, (7, i), LEVELS["on"])
         seen = view.observation()
         doubted.append(bool(camera_doubts(seen, estimator(seen), estimator)))

@@ -100,9 +100,9 @@ class Cluster:
     """Work in shards."""
 
     cluster: bool = False
-    """In shards, on the Ray cluster that RAY_ADDRESS names, else on all cores of this machine; without Ray
-    (pip install 'omad[cluster]') in processes. --output is then a folder, or an address that fsspec knows (s3://...),
-    of Parquet files; shards that are there are not made again."""
+    """In shards, on the Ray cluster that RAY_ADDRESS names, else on all cores of this machine, however many --workers;
+    without Ray (pip install 'omad[cluster]') in as many processes. --output is then a folder, or an address that
+    fsspec knows (s3://...), of Parquet files; shards that are there are not made again."""
     shard: int = 256
     """Images in each file, with --cluster."""
 

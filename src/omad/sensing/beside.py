@@ -49,7 +49,7 @@ class Beside:
                 scale_file = file
             if camera is not None and scale is not None:
                 break
-        mask, *colors = (depth.with_name(f"{stem}{end}") for end in (".mask.png", ".color.png", ".color.jpg"))
+        mask, *colors = _images(depth.parent, stem)
         color = next((file for file in colors if file.is_file()), None)
         return cls(camera, scale, mask if mask.is_file() else None, color, camera_file, scale_file)
 
@@ -57,6 +57,17 @@ class Beside:
 def is_companion(file: Path) -> bool:
     """Whether an image belongs to a depth image, by its name, as ``00000.labels.png`` does."""
     return Path(file.stem).suffix.lower() in COMPANIONS
+
+
+def may_lie_beside(depth: Path) -> Iterator[Path]:
+    """Files whose contents count for a depth image, where they are there."""
+    stem = depth.stem.removesuffix(OF_DEPTH)
+    yield from _files(depth.parent, stem)
+    yield from _images(depth.parent, stem)
+
+
+def _images(folder: Path, stem: str) -> list[Path]:
+    return [folder / f"{stem}{end}" for end in (".mask.png", ".color.png", ".color.jpg")]
 
 
 def _files(folder: Path, stem: str) -> Iterator[Path]:

@@ -2,8 +2,8 @@
 
 import hashlib
 import os
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice
@@ -14,7 +14,7 @@ import numpy as np
 from omad.common.errors import InputError
 from omad.common.incoming import address_of, is_file, map_array, read_arrays
 from omad.data.shards.store import Store
-from omad.sensing.beside import is_companion
+from omad.sensing.beside import is_companion, may_lie_beside
 from omad.sensing.depth_files import called, in_metres
 from omad.sensing.input_options import FrameOptions, InputOptions
 from omad.sensing.observation import Observation
@@ -33,9 +33,9 @@ class Source:
     total: int
     after: Callable[[int], Iterator[Frame]]
     """Its frames without the first so many, which are not read."""
-    listed: str = ""
-    """A digest of what files were in folders, and of when those that were named, cameras and masks among them, were
-    written: with others there, rows are of others."""
+    fingerprint: Callable[[], str] = str
+    """Of the files that its frames are made of, cameras and masks among them: with others, rows are of others. It asks
+    the disk for each of them."""
 
 
 def open_sources(
@@ -88,17 +88,29 @@ def open_sources(
         sources += [_parquet(file, reader) for file in group.files() if file.suffix.lower() == SUFFIX]
         single = [name for name in group.names if Path(name).suffix.lower() != SUFFIX]
         sources.append(_single(_Group(group.folder, single), reader))
-    names = [os.fsencode(name) for group in groups.values() for name in group.names]
-    cameras = (reading.intrinsics, frame.color_intrinsics, frame.color_extrinsics)
-    told = [Path(each) for each in (*local, reading.mask, *cameras) if each is not None]
-    written = [_written(path) for path in told if is_file(path)]
-    return _chained(sources, hashlib.sha256(b"\0".join(names + written)).hexdigest())
+    told = (reading.mask, reading.intrinsics, frame.color_intrinsics, frame.color_extrinsics)
+    named = [Path(each) for each in told if each is not None]
+    return _chained(sources, partial(_fingerprint, [*groups.values()], named))
 
 
-def _written(path: Path) -> bytes:
-    """What changes with the contents of a file, to the second, as some file systems keep it."""
-    told = path.stat()
-    return f"{told.st_size} {int(told.st_mtime)}".encode()
+def _fingerprint(groups: Sequence["_Group"], named: Sequence[Path]) -> str:
+    """Of names, sizes and times of writing: of the files of ``groups`` and what may lie beside each, of those that the
+    options ``named``, and of all that is in a folder of masks."""
+    digest = hashlib.sha256()
+
+    def add(name: str, files: Iterable[Path]) -> None:
+        digest.update(os.fsencode(name))
+        for file in filter(is_file, files):
+            with suppress(OSError):  # taken away in this moment
+                status = file.stat()  # times to the second, as some file systems keep them
+                digest.update(os.fsencode(file.name) + f"\0{status.st_size} {int(status.st_mtime)}\0".encode())
+
+    for group in groups:
+        for name, file in zip(group.names, group.files(), strict=True):
+            add(name, [file, *may_lie_beside(file)])
+    for path in named:
+        add(path.name, sorted(path.rglob("*")) if path.is_dir() else [path])
+    return digest.hexdigest()
 
 
 @dataclass(frozen=True)
@@ -206,11 +218,11 @@ def _parquet(path: Path | str, reader: InputReader) -> Source:
     return Source(images.total, images.after)
 
 
-def _chained(sources: Sequence[Source], listed: str) -> Source:
+def _chained(sources: Sequence[Source], fingerprint: Callable[[], str]) -> Source:
     def after(done: int) -> Iterator[Frame]:
         for source in sources:
             if done < source.total:
                 yield from source.after(done)
             done = max(done - source.total, 0)
 
-    return Source(sum(source.total for source in sources), after, listed)
+    return Source(sum(source.total for source in sources), after, fingerprint)

@@ -98,7 +98,7 @@ class Bulk(CategoryCommand):
         weights = weights_identity(find_weights(self.weights or self.category))
         own = {"category": self.category, "weights": weights, "fast": self.fast, "batch": self.batch}
         inputs = {"inputs": [str(everywhere(path)) for path in self.inputs], "total": source.total}
-        inputs |= {"files": source.listed}
+        inputs |= {"files": source.fingerprint()}
         return {**inputs, "version": omad.__version__, **own, **told}
 
 

@@ -5,9 +5,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.interpolate import CubicSpline
 
+from omad.common.lazy import lazy_imports
 from omad.geometry.mesh import Mesh
+
+with lazy_imports():
+    from scipy.interpolate import CubicSpline  # a quarter of a second, and most answers need none
 
 X, Y, Z = np.eye(3)
 
