@@ -167,6 +167,8 @@ def test_what_is_rendered_in_shards_is_estimated_and_measured(
     further = answer(capsys, *once, "further", "--to-surface")
     assert further["initial"]["joint_state_error_deg"] == measured["initial"]["joint_state_error_deg"]
     assert further["refined"]["joint_state_error_deg"] != measured["refined"]["joint_state_error_deg"]
+    assert further["seconds"].keys() == {"network", "refinement", "surface"}
+    assert measured["seconds"].keys() == {"network", "refinement"}
     answer(capsys, "export", *LAPTOP, "--output", "own")
     answer(capsys, *once, "of-own", "--weights", "own")
     Path("own/confidence.json").unlink()  # other weights, called as before

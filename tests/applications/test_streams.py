@@ -288,7 +288,7 @@ def test_a_track_is_recorded_for_rerun_and_shown_live(folder, capsys, monkeypatc
     rr = pytest.importorskip("rerun", reason="the recording is an extra: pip install 'omad[rerun]'")
     tracked(capsys, str(folder), *K, "--fps", "10", "--formats", "rrd")
     assert Path("omad-track/track.rrd").stat().st_size > 10_000
-    assert not list(Path("omad-track").glob("*.unfinished.rrd"))
+    assert not list(Path("omad-track").glob(".omad-*"))
     spawned = []
     monkeypatch.setattr(rr.RecordingStream, "spawn", lambda stream: spawned.append(stream))
     tracked(capsys, str(folder), *K, "--fps", "10", "--live")

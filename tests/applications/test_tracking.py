@@ -11,21 +11,23 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from scipy.spatial.transform import Rotation
 from sequences import SequenceConfig, SequenceFrame, render_sequence
 
 import omad
 from helpers.headless_browser import HeadlessBrowser
 from omad.applications.tracking import page
 from omad.applications.tracking.frames import read_times
-from omad.applications.tracking.motion import MotionConfig, MotionFilter, Placement
+from omad.applications.tracking.motion import SUREST, MotionConfig, MotionFilter, Placement
 from omad.applications.tracking.sequence import TrackedSequence
 from omad.applications.tracking.shape_belief import ShapeBelief, ShapeConfig
 from omad.applications.tracking.tracker import TrackedEstimate, TrackerConfig
 from omad.cli.main import run
 from omad.cli.track import track_text
-from omad.common.errors import InputError
+from omad.common.errors import InputError, WorkError
 from omad.data.procedural import generate
 from omad.data.rendering.standard_views import standard_view
+from omad.geometry.rigid import rigid
 from omad.objects.category_file import get_category
 
 finish = TrackedSequence.finish
@@ -62,7 +64,7 @@ def test_filter_is_the_textbook_one():
         ours.predict(dt)
         ours.update(Placement(np.eye(4), np.array([measured])), R * np.eye(7))
         x, P = F @ x, F @ P @ F.T + Q
-        gain = P[:, 0] / (P[0, 0] + R)
+        gain = P[:, 0] / (P[0, 0] + R + SUREST**2)
         x, P = x + gain * (measured - x[0]), P - np.outer(gain, P[0])
         np.testing.assert_allclose([ours.placement.joint_states[0], ours.velocity[6]], x)
         assert np.isclose(ours.covariance[6, 6], P[0, 0])
@@ -79,6 +81,20 @@ def test_a_static_base_only_gets_surer():
     ours.predict(1.0)
     np.testing.assert_allclose(np.diag(ours.covariance)[:6], 1)
     assert ours.covariance[6, 6] > 1
+
+
+def test_a_static_base_on_a_known_vertical_is_followed():
+    """No measurement lets it turn but about the vertical, which the covariances say with zeros."""
+    covariance = np.diag([0.0, 1e-4, 0.0, 1e-6, 1e-6, 1e-6, 1e-4])
+    ours = MotionFilter(MotionConfig(static_base=True), (True,), Placement(np.eye(4), np.zeros(1)), covariance)
+    for measured in (0.3, 0.5, 0.5, 0.5):
+        ours.predict(0.2)
+        there = Placement(np.eye(4), np.array([measured]))
+        assert 0 < ours.surprise(there, covariance) < 10
+        ours.update(there, covariance)
+    assert ours.placement.joint_states[0] == pytest.approx(0.5, abs=0.02)
+    far = Placement(rigid(Rotation.from_rotvec([0.05, 0, 0]).as_matrix(), np.zeros(3)), np.array([0.5]))
+    assert ours.surprise(far, covariance) > 1000
 
 
 def test_one_viewpoint_tells_of_the_shape_once():
@@ -122,6 +138,25 @@ def test_of_a_long_track_some_frames_are_shown_and_no_points_are_kept(folder, ca
     assert 1 <= text.count('"picture":') <= 3
     assert 1 <= text.count('"cloud":') <= 3
     assert [len(one.estimate.part_labels) for one in kept if one.estimate] == [0] * 10
+
+
+def test_a_track_that_is_cut_short_leaves_an_earlier_one_whole(folder, capsys, monkeypatch):
+    def kept() -> int:
+        return len(Path("omad-track/frames.jsonl").read_text().splitlines())
+
+    def cut_short(self, frames):
+        follow(self, list(frames)[:3])
+        raise WorkError("the disk is full")
+
+    follow = TrackedSequence.follow
+    for earlier in (False, True):
+        with monkeypatch.context() as disk:
+            disk.setattr(TrackedSequence, "follow", cut_short)
+            assert run(["track", str(folder), "--fps", "5", *GIVEN]) == 1
+        assert kept() == (4 if earlier else 3)
+        assert not list(Path("omad-track").glob(".omad-*"))
+        assert run(["track", str(folder), "--fps", "5", "--most", "4", *GIVEN]) == 0
+        assert kept() == 4
 
 
 def test_stream_with_bad_frames_and_times(folder, capsys, monkeypatch):

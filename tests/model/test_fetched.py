@@ -8,6 +8,7 @@ from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path, PureWindowsPath
 from typing import ClassVar
+from urllib.request import Request
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ from omad.common.errors import InputError
 from omad.common.incoming import address_of
 from omad.common.user_cache import user_cache
 from omad.estimation.estimator import Estimator
-from omad.model.storage.fetched import MANIFEST, fetch
+from omad.model.storage.fetched import MANIFEST, _Redirects, fetch
 from omad.sensing.observation import Observation
 
 
@@ -86,6 +87,30 @@ def test_http_needs_a_checksum_and_the_right_one(server, exported):
     with pytest.raises(InputError, match="not the one with sha256"):
         fetch(server + "#sha256=" + "0" * 64)
     assert not list(user_cache("weights").glob("*/*"))
+
+
+def test_without_a_home_or_a_folder_to_write_in_the_cure_is_named(exported, tmp_path, monkeypatch):
+    pytest.importorskip("fsspec", reason="other file systems are an extra: pip install 'omad[remote]'")
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("OMAD_CACHE", str(tmp_path / "file" / "cache"))
+    with pytest.raises(InputError, match="set OMAD_CACHE"):
+        fetch(exported.as_uri())
+    for told in ("OMAD_CACHE", "XDG_CACHE_HOME", "HOME"):
+        monkeypatch.delenv(told, raising=False)
+
+    def nobody():
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.setattr(Path, "home", nobody)
+    with pytest.raises(InputError, match=r"home directory.*set OMAD_CACHE"):
+        fetch(exported.as_uri())
+
+
+def test_https_does_not_lead_to_http():
+    redirects, asked = _Redirects(), Request("https://a.org/laptop/manifest.json")
+    with pytest.raises(InputError, match=r"a\.org.*sends on to http://b\.org"):
+        redirects.redirect_request(asked, None, 302, "Found", {}, "http://b.org/manifest.json")
+    assert redirects.redirect_request(asked, None, 302, "Found", {}, "https://b.org/manifest.json") is not None
 
 
 def test_any_file_system_of_fsspec(exported):

@@ -170,6 +170,14 @@ def test_rgbd_image_of_open3d_and_frame_of_librealsense(plain):
     stored = np.rint(depth * 10000).astype(np.uint16)
     frame = SimpleNamespace(get_data=lambda: stored, get_units=lambda: 0.0001, get_profile=lambda: profile)
     assert Observation.from_depth(frame).points == pytest.approx(plain.points, abs=1e-4)
+    for order, blue in (("rgb8", 2), ("bgr8", 0)):
+        color[:] = 0
+        color[..., blue] = 200
+        kind = SimpleNamespace(format=lambda order=order: f"format.{order}")
+        coloured = SimpleNamespace(get_data=lambda: color, get_profile=lambda kind=kind: kind)
+        seen = Observation.from_depth(depth, open3d(), color=coloured)
+        assert seen.color is not None
+        assert seen.color.reshape(-1, 3).max(0).tolist() == [0, 0, 200]
 
 
 def test_broken_messages_are_refused_in_a_line():

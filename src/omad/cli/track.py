@@ -121,15 +121,13 @@ class Track(CategoryCommand):
             tracker, reader, self.output, places, self.gravity, tuple(name for name in self.formats if name != "rrd"),
             Film() if self.gif else None, self._recorder(), stream,
         )  # fmt: skip
-        with replacing(earlier_track(self.output)):
+        with replacing(earlier_track(self.output)), sequence:
             try:
                 sequence.follow(frames)
             except KeyboardInterrupt:
                 if self.camera is None:
                     raise
                 print("omad: ended", file=sys.stderr)
-            finally:
-                sequence.close()
             summary = sequence.finish(truth)
         code = 2 if sequence.refused else 0 if any(one.status == "tracking" for one in sequence.tracked) else 1
         return Answer(summary, as_json if stream else track_text, code)

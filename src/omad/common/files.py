@@ -81,7 +81,7 @@ def _locked_file(path: Path) -> tuple[int, str]:
     """Locked as long as it is written, so that who sweeps knows it for one in use."""
     while True:
         handle, name = tempfile.mkstemp(prefix=TEMPORARY, suffix=path.suffix[:20], dir=path.parent)
-        if try_lock(handle) and (OPEN_STAYS or os.fstat(handle).st_nlink):
+        if try_lock(handle) is not False and (OPEN_STAYS or os.fstat(handle).st_nlink):
             return handle, name
         os.close(handle)  # swept in the moment before it was locked
 
@@ -94,8 +94,8 @@ def _sweep(folder: str) -> None:
     with suppress(OSError), os.scandir(folder) as entries:
         for entry in entries:
             if entry.name.startswith(TEMPORARY) and entry.is_file(follow_symlinks=False):
-                handle = os.open(entry.path, os.O_RDONLY)
-                if try_lock(handle):
+                handle = os.open(entry.path, os.O_RDWR)
+                if try_lock(handle):  # surely nobody's; where there are no locks, it stays
                     os.unlink(entry.path)
                 os.close(handle)
 

@@ -196,7 +196,7 @@ def gravity_doubts(
         return []
     free = estimator(observation, replace(known, gravity=None))
     off = np.degrees(np.arccos(np.clip(estimate.T_camera_base[:3, 1] @ free.T_camera_base[:3, 1], -1, 1)))
-    if off <= TILTED or _probability(free) < TELLING:
+    if off <= TILTED or free.supposed_probability < TELLING:
         return []
     return [
         Check(
@@ -210,13 +210,8 @@ def gravity_doubts(
     ]
 
 
-def _probability(estimate: Estimate) -> float:
-    """Of one without, nothing speaks against it."""
-    return 1.0 if estimate.probability is None else estimate.probability
-
-
 def _odds(estimate: Estimate) -> float:
-    probability = float(np.clip(_probability(estimate), 1 - CERTAIN, CERTAIN))
+    probability = float(np.clip(estimate.supposed_probability, 1 - CERTAIN, CERTAIN))
     return probability / (1 - probability)
 
 

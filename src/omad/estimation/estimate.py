@@ -248,6 +248,16 @@ class Estimate(PoseEstimate):
         return bool(np.isfinite(self.keypoints).all())
 
     @property
+    def expected_error(self) -> float:
+        """Of a keypoint as the network sees it, the geometric mean over them, metres."""
+        return float(np.exp(np.log(self.keypoint_std).mean()))
+
+    @property
+    def supposed_probability(self) -> float:
+        """Of being right; 1 where the weights do not tell, as nothing speaks against it."""
+        return 1.0 if self.probability is None else self.probability
+
+    @property
     def doubtful(self) -> bool | None:
         """Whether it is rather wrong than right; None where that is not known."""
         return None if self.probability is None else self.probability < DOUBTFUL

@@ -252,10 +252,11 @@ class Estimator:
             look = self._look(clouds[:, : looks[0]], again, labels=True)
             # what is said of single points may be wrong: then the object is seen less surely without them
             surer = torch.nonzero(look.expected_error < seen[0].of(rows).expected_error)[:, 0]
-            crowd, rows = shown, rows[surer]
-            with_crowd = seen[0].of(rows)
-            shown = shown.with_rows_of(cleaned, rows.tolist())
-            seen[0].put(rows, look.of(surer))
+            if len(surer):
+                crowd, rows = shown, rows[surer]
+                with_crowd = seen[0].of(rows)
+                shown = shown.with_rows_of(cleaned, rows.tolist())
+                seen[0].put(rows, look.of(surer))
         watch.lap("network")
         refined = self._refine(seen[0], start, known, near, rig)
         watch.lap("refinement")

@@ -61,8 +61,15 @@ class Known:
         InputError where gravity is no direction."""
         if self.gravity is None:
             return [self] * len(T_first_camera)
+        return [replace(self, gravity=self.direction_of_gravity() @ T[:3, :3]) for T in T_first_camera]
+
+    def direction_of_gravity(self) -> np.ndarray:
+        """(3,) unit. Raises InputError where gravity is no direction."""
         down = numbers(self.gravity, 3, what="known gravity")
-        return [replace(self, gravity=down @ T[:3, :3]) for T in T_first_camera]
+        length = np.linalg.norm(down)
+        if not LEAST < length <= LARGEST:
+            raise InputError(f"known gravity: a direction is needed, got a vector of length {length:.3g}")
+        return down / length
 
     def levelling(self, like: Tensor, T_first_camera: Tensor | None = None) -> Tensor:
         """(B, 4, 4) what turns frames with the cameras' axes, to look in at B clouds, about the last of these until
@@ -71,7 +78,7 @@ class Known:
         one's own. Dtype, device and B are those of ``like``."""
         if self.gravity is None:
             return torch.eye(4).to(like).expand(len(like), 4, 4)
-        down = as_doubles(self.gravity) / np.linalg.norm(as_doubles(self.gravity))
+        down = self.direction_of_gravity()
         seen = down[None] if T_first_camera is None else down @ as_doubles(T_first_camera)[:, :3, :3]
         x, y, _ = seen.T
         roll = np.arctan2(-x, y)
@@ -131,8 +138,8 @@ def check_known(known: Any, category: Category, basis_size: int) -> None:
         for joint, state, limits in told:
             if np.isfinite(state):
                 check_state(state, limits, f"known joint_states: {joint.name}")
-    if known.gravity is not None and not np.linalg.norm(as_numpy(known.gravity)) > LEAST:
-        raise InputError("known gravity: a direction is needed, got next to nothing")
+    if known.gravity is not None:
+        known.direction_of_gravity()
     if (hand := known.mirrored_probability) is not None:
         if not category.either_hand:
             raise InputError(f"known mirrored_probability: a {category.name} has one hand (either_hand); leave it out")

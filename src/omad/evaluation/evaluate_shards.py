@@ -17,6 +17,9 @@ from omad.estimation.estimator import Estimator, EstimatorConfig
 from .evaluate import BATCH, Measured, measure
 from .metrics import PoseErrors
 
+STEPS = ("network", "refinement", "surface")
+"""Of an answer, whose seconds are kept where they were taken."""
+
 
 @dataclass(frozen=True)
 class PoseWork:
@@ -47,7 +50,7 @@ class PoseWork:
         number = pyarrow.float64()
         kinds = {f.name: pyarrow.list_(number) if f.type is np.ndarray else pyarrow.bool_() for f in fields(PoseErrors)}
         errors = pyarrow.struct(kinds)
-        seconds = pyarrow.struct({"network": number, "refinement": number})
+        seconds = pyarrow.struct(dict.fromkeys(STEPS, number))
         columns = {"object": pyarrow.string(), "diagonal": number, "seconds": seconds}
         return pyarrow.schema(columns | {"initial": errors, "refined": errors})
 
@@ -59,7 +62,9 @@ class PoseWork:
 def from_rows(rows: Iterable[dict[str, Any]]) -> Iterator[Measured]:
     """What was measured, of rows as they are read back."""
     for row in rows:
-        yield Measured(**{**row, "initial": _errors(row["initial"]), "refined": _errors(row["refined"])})
+        seconds = row["seconds"] and {step: time for step, time in row["seconds"].items() if time is not None}
+        errors = {name: _errors(row[name]) for name in ("initial", "refined")}
+        yield Measured(**{**row, "seconds": seconds, **errors})
 
 
 @cache
@@ -69,7 +74,7 @@ def _loaded(work: PoseWork) -> Estimator:
 
 
 def _row(one: Measured) -> dict[str, Any]:
-    seconds = None if one.seconds is None else {name: one.seconds[name] for name in ("network", "refinement")}
+    seconds = None if one.seconds is None else {name: one.seconds.get(name) for name in STEPS}
     errors = {"initial": _plain(one.initial), "refined": _plain(one.refined)}
     return {"object": one.object, "diagonal": one.diagonal, "seconds": seconds, **errors}
 

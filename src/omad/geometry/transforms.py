@@ -109,7 +109,8 @@ def fit_transform(a: Tensor, b: Tensor, weights: Tensor) -> Tensor:
 
 
 def rotation_angle(a: Tensor, b: Tensor) -> Tensor:
-    """Angle in radians of the rotation between ``a`` and ``b`` (..., 3, 3); accurate near 0 and pi."""
+    """Angle in radians of the rotation between ``a`` and ``b`` (..., 3, 3); accurate near 0, and in
+    single precision within 1e-3 of pi."""
     return 2 * torch.asin((0.5 * (a - b).flatten(-2).norm(dim=-1) / 2**0.5).clamp(max=1))
 
 

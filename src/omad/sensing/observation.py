@@ -52,7 +52,7 @@ class Observation:
     pixels: np.ndarray | None = None
     """(N, 2) int column and row of each point."""
     mask: np.ndarray | None = None
-    """(H, W) bool, the pixels that became points."""
+    """(H, W) bool, of pixels that are the object; very many are thinned out before they become points."""
     warnings: tuple[str, ...] = ()
     """What a person should know before trusting the result."""
     color: np.ndarray | None = None

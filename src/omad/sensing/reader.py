@@ -113,7 +113,7 @@ class InputReader:
             color = None
         camera, told_by = (beside.camera, str(beside.camera_file)) if self.camera is None else (self.camera, INTRINSICS)
         seen = self.observe(depth, mask, camera, color, told_by)
-        return seen.warned(*self._contradicted(file, beside), *warnings)
+        return seen.warned(*self._contradicted(beside), *warnings)
 
     def _mask(self, file: Path, beside: Beside) -> np.ndarray | None:
         if isinstance(self.mask, Path):
@@ -141,7 +141,7 @@ class InputReader:
             return self.depth_scale
         return self.metres_per_integer(Beside.of(file).depth_scale)
 
-    def _contradicted(self, file: Path, beside: Beside) -> Iterator[str]:
+    def _contradicted(self, beside: Beside) -> Iterator[str]:
         """Where the options say other than what lies beside the image."""
         given = self.depth_scale, beside.depth_scale, beside.scale_file
         pairs: list[tuple[str, float | None, float | None, Path | None]] = [("--depth-scale", *given)]

@@ -157,7 +157,7 @@ class Results:
 
     def _lock(self, file: IO[bytes]) -> None:
         """As long as the part's ``file`` is open."""
-        if not try_lock(file.fileno()):
+        if try_lock(file.fileno()) is False:
             raise InputError(f"{self.part}: another run is writing it; wait for its end, or give another --output")
 
     def _write_parquet(self, path: Path) -> None:

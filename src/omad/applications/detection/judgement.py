@@ -15,6 +15,7 @@ from typing import Self
 import numpy as np
 from scipy.spatial import ConvexHull
 
+from omad.common.files import write_json
 from omad.estimation.categories.fronts import front_says
 from omad.estimation.checks import USUAL_SIZE
 from omad.estimation.estimate import Estimate
@@ -110,4 +111,4 @@ class Judgement:
 
     def save(self, path: Path = FITTED) -> None:
         """Write the file that ``fitted`` reads."""
-        path.write_text(json.dumps(asdict(self)) + "\n", encoding="utf-8")
+        write_json(path, asdict(self))

@@ -4,11 +4,13 @@ Nothing waits for a batch to fill: a worker that is free takes its share of what
 """
 
 import asyncio
+import sys
 from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
+from traceback import print_exception
 
 import torch
 
@@ -71,6 +73,8 @@ class Batcher:
     def _done(self, taken: list[_Waiting], work: asyncio.Future[list[Reply]]) -> None:
         self._idle += 1
         if work.cancelled() or work.exception() is not None:
+            if not work.cancelled():
+                print_exception(work.exception(), file=sys.stderr)
             replies = [Reply.failed(500, "the work failed")] * len(taken)
         else:
             replies = work.result()

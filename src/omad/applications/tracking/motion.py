@@ -16,6 +16,10 @@ from scipy.spatial.transform import Rotation
 from omad.estimation.estimate import Estimate
 from omad.geometry.rigid import rigid
 
+SUREST = 1e-4
+"""Standard deviation, in radians and metres, that every number of a measurement has at least: a base that stands still
+on a known vertical has directions in which neither moves, and distances from what cannot be are infinite."""
+
 
 @dataclass(frozen=True)
 class MotionConfig:
@@ -104,16 +108,19 @@ class MotionFilter:
     def surprise(self, measured: Placement, covariance: np.ndarray) -> float:
         """Squared Mahalanobis distance of a measurement from what was predicted: chi-square with N degrees."""
         step = self.placement.step_to(measured)
-        return float(step @ np.linalg.solve(self.covariance + covariance, step))
+        return float(step @ np.linalg.solve(self.covariance + self._noise(covariance), step))
 
     def update(self, measured: Placement, covariance: np.ndarray) -> None:
         """Take in a placement measured with ``covariance`` (N, N)."""
-        n = self._size
-        gain = np.linalg.solve(self.covariance + covariance, self._covariance[:n]).T
+        n, noise = self._size, self._noise(covariance)
+        gain = np.linalg.solve(self.covariance + noise, self._covariance[:n]).T
         correction = gain @ self.placement.step_to(measured)
         self.placement = self.placement.moved(correction[:n])
         self.velocity = self.velocity + correction[n:]
         remaining = np.eye(2 * n)
         remaining[:, :n] -= gain
         # Joseph's form stays symmetric and positive whatever the rounding
-        self._covariance = remaining @ self._covariance @ remaining.T + gain @ covariance @ gain.T
+        self._covariance = remaining @ self._covariance @ remaining.T + gain @ noise @ gain.T
+
+    def _noise(self, covariance: np.ndarray) -> np.ndarray:
+        return covariance + SUREST**2 * np.eye(self._size)

@@ -1,33 +1,37 @@
 """A track in Rerun: recorded in a file, or shown by the viewer while it is tracked."""
 
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Self
 
-from omad.common.files import publish, writing
+from omad.common.files import publish, unfinished, writing
 from omad.output.rerun import finish, imported, log_frame
 from omad.sensing.observation import Observation
 
 from .tracker import TrackedEstimate
 
 TIMELINE = "time"
-UNFINISHED = ".unfinished.rrd"
 
 
 class Recorder:
     """Logs frames as they are tracked."""
 
-    def __init__(self, rr: Any, stream: Any, path: Path | None = None) -> None:
-        self._rr, self._stream, self._path = rr, stream, path
+    def __init__(self, rr: Any, stream: Any) -> None:
+        self._rr, self._stream = rr, stream
+        self._path: Path | None = None
+        self._temporary: Path | None = None
+        self._ending = ExitStack()
 
     @classmethod
     def to_file(cls, path: Path) -> Self:
         """Into a file (.rrd), which gets its name when the recorder is closed. Raises InputError without Rerun."""
         rr = imported()
-        stream = rr.RecordingStream("omad track")
+        recorder = cls(rr, rr.RecordingStream("omad track"))
         with writing(path):
-            path.parent.mkdir(parents=True, exist_ok=True)
-        stream.save(path.with_suffix(UNFINISHED))
-        return cls(rr, stream, path)
+            temporary = recorder._ending.enter_context(unfinished(path))
+        recorder._stream.save(temporary)
+        recorder._path, recorder._temporary = path, temporary
+        return recorder
 
     @classmethod
     def to_viewer(cls) -> Self:
@@ -43,9 +47,10 @@ class Recorder:
         self._stream.log("status", self._rr.TextLog(tracked.status))
         log_frame(self._rr, self._stream, observation, tracked.estimate, static=False)
 
-    def close(self) -> None:
-        """End the recording."""
+    def close(self, keep: bool) -> None:
+        """End the recording; its file gets its name, or is gone where it is not to be kept."""
         finish(self._stream)
-        if self._path is not None:
-            with writing(self._path):
-                publish(self._path.with_suffix(UNFINISHED), self._path)
+        if self._path is not None and self._temporary is not None:
+            with writing(self._path), self._ending:
+                if keep:
+                    publish(self._temporary, self._path)

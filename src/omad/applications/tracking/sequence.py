@@ -7,9 +7,9 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any, Self, TextIO
 
 import numpy as np
 
@@ -88,7 +88,7 @@ class TrackedSequence:
                 self._refuse(frame, error)  # whatever one frame holds, the others go on
                 continue
             self.seconds.append(time.perf_counter() - began)
-            self.files.append(frame)
+            self.files.append(replace(frame, source=None))  # images of hours of frames are not kept
             self.tracked.append(tracked.without_labels())
             record = {"frame": frame.path.name, **tracked.to_dict()}
             if T_world_camera is not None and tracked.estimate is not None:
@@ -147,14 +147,20 @@ class TrackedSequence:
         if self.stream:
             print(text, flush=True)
 
-    def close(self) -> None:
-        """End the file of lines, whole or not."""
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        """End the files that were written meanwhile. What was cut short is kept, too, but does not take the place of an
+        earlier track's."""
+        keep = kind is None or not (self.output / SUMMARY).is_file()
         if self.lines is not None:
             with writing(self.output / FRAMES), self.ending:
                 self.lines.close()
-                publish(Path(self.lines.name), self.output / FRAMES)
+                if keep:
+                    publish(Path(self.lines.name), self.output / FRAMES)
         if self.recorder is not None:
-            self.recorder.close()
+            self.recorder.close(keep)
 
     def finish(self, truth: dict[str, list[float]] | None) -> dict[str, Any]:
         """Write page, table, plot, film, formats and summary; returns the summary."""

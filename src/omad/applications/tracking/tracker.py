@@ -257,9 +257,8 @@ class Tracker:
         return track.motion.surprise(Placement.of(single), single.covariance[: self._size, : self._size])
 
     def _plausible(self, single: Estimate) -> bool:
-        expected = np.exp(np.log(single.keypoint_std).mean())
         config, unit = self.config, self._unit
-        good = single.residual < config.worst_residual * unit and expected < config.worst_std * unit
+        good = single.residual < config.worst_residual * unit and single.expected_error < config.worst_std * unit
         return bool(good and np.isfinite(single.covariance).all())
 
     def _agree(self, a: Estimate, b: Estimate) -> bool:

@@ -8,9 +8,9 @@ from pathlib import Path
 from ..errors import InputError
 
 
-def try_lock(handle: int) -> bool:
-    """Lock an open file or folder; whether that worked. Where there are no locks (Windows, some network's file
-    systems), it always does."""
+def try_lock(handle: int) -> bool | None:
+    """Lock an open file or folder; whether that worked. None where nobody can tell, as there are no locks: on Windows,
+    and on some network's file systems, of which others lock only what is open for writing."""
     try:
         import fcntl
 
@@ -18,7 +18,7 @@ def try_lock(handle: int) -> bool:
     except BlockingIOError:
         return False
     except (ImportError, OSError):
-        return True
+        return None
     return True
 
 
@@ -32,7 +32,7 @@ def only_one(folder: Path, what: str) -> Iterator[None]:
         yield
         return
     try:
-        if not try_lock(handle):
+        if try_lock(handle) is False:
             raise InputError(f"{folder}: {what} is writing here already; wait for its end, or choose another folder")
         yield
     finally:

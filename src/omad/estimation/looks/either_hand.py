@@ -1,5 +1,6 @@
 """Objects that may be of either hand: which of two answers counts, that of the view or that of its mirror image."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -79,4 +80,4 @@ def told(estimate: Estimate) -> np.ndarray:
 
 
 def _for(estimate: Estimate, hand: Sequence[float]) -> float:
-    return odds(hand, estimate) if hand else -float(np.log(estimate.keypoint_std).mean())
+    return odds(hand, estimate) if hand else -math.log(estimate.expected_error)

@@ -16,8 +16,8 @@ IMPROBABLE = 0.7
 CLEARLY = 1.0
 """Log-odds by which another answer must be ahead to count; when any lead counted, as many answers became wrong as were
 righted ..."""
-UNSURER = 0.3
-"""... and by which the errors that it expects of its keypoints may be larger, logarithm."""
+UNSURER = 1.35
+"""... and how many times larger the errors that it expects of its keypoints may be."""
 KEPT = 0.5
 """Share of its log-odds that the most probable of several keeps, so that it is right as often as it says."""
 TURNS = quarter_turns()[[1, 7, 4]].double().numpy()
@@ -26,7 +26,7 @@ TURNS = quarter_turns()[[1, 7, 4]].double().numpy()
 
 def is_improbable(estimate: Estimate) -> bool:
     """Whether others are to be asked for; not of one without a probability, and of one that is no answer."""
-    return estimate.is_finite and _probability(estimate) < IMPROBABLE
+    return estimate.is_finite and estimate.supposed_probability < IMPROBABLE
 
 
 def turned_frames(estimate: Estimate) -> np.ndarray:
@@ -38,19 +38,10 @@ def turned_frames(estimate: Estimate) -> np.ndarray:
 
 def likelier(estimate: Estimate, others: Sequence[Estimate]) -> Estimate:
     """The most probable of the ``others`` if it is clearly ahead, or else the estimate; with the time that all took."""
-    sure = [one for one in others if one.is_finite and _expected(one) < _expected(estimate) + UNSURER]
-    best = max(sure, key=_probability, default=estimate)
-    log_odds = float(logit(_probability(best)))
+    sure = [one for one in others if one.is_finite and one.expected_error < UNSURER * estimate.expected_error]
+    best = max(sure, key=lambda one: one.supposed_probability, default=estimate)
+    log_odds = float(logit(best.supposed_probability))
     seconds = total_seconds((estimate, *others))
-    if log_odds <= logit(_probability(estimate)) + CLEARLY:
+    if log_odds <= logit(estimate.supposed_probability) + CLEARLY:
         return replace(estimate, seconds=seconds)
     return replace(best, probability=float(expit(KEPT * log_odds)), seconds=seconds)
-
-
-def _probability(estimate: Estimate) -> float:
-    return 1.0 if estimate.probability is None else estimate.probability
-
-
-def _expected(estimate: Estimate) -> float:
-    """Logarithm of the errors that the network expects of its keypoints."""
-    return float(np.log(estimate.keypoint_std).mean())

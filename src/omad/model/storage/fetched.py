@@ -12,6 +12,7 @@ import urllib.request
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Any
+from urllib.parse import urlsplit
 
 from omad.common.decode import Within
 from omad.common.errors import InputError
@@ -145,9 +146,19 @@ def _read(address: str, most: int) -> bytes:
     return content
 
 
+class _Redirects(urllib.request.HTTPRedirectHandler):
+    """From https, no server may send on to what anyone in between may change."""
+
+    def redirect_request(self, req: Any, fp: Any, code: int, msg: str, headers: Any, newurl: str) -> Any:
+        if req.type not in UNTRUSTED and urlsplit(newurl).scheme in UNTRUSTED:
+            cure = "ask who gave you the address for one that stays with https"
+            raise InputError(f"{req.full_url}: sends on to {newurl}, which anyone in between may change; {cure}")
+        return super().redirect_request(req, fp, code, msg, headers, newurl)
+
+
 def _opened(address: str, scheme: str) -> Any:
     if scheme in ("http", "https"):
-        return urllib.request.urlopen(address, timeout=SECONDS)
+        return urllib.request.build_opener(_Redirects).open(address, timeout=SECONDS)
     try:
         import fsspec
     except ImportError as error:

@@ -66,7 +66,8 @@ def image_from(value: Any) -> Any:
     ):
         return _ros_compressed(value)
     if hasattr(value, "get_data"):  # a frame of librealsense
-        return np.asanyarray(value.get_data())
+        image = np.asanyarray(value.get_data())
+        return image[..., 2::-1] if ".bgr" in str(value.get_profile().format()) else image
     return value
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from omad.common.errors import InputError, WorkError
 
 from .bags import RecordedFrame
-from .images import depth_from
+from .images import depth_from, image_from
 
 
 def open_camera() -> Iterator[RecordedFrame]:
@@ -47,11 +47,8 @@ def _frames(rs: Any, pipeline: Any) -> Iterator[RecordedFrame]:
             depth, color = frames.get_depth_frame(), frames.get_color_frame()
             if not depth:
                 continue
-            seen, colours = depth_from(depth), None
-            if color:
-                colours = np.array(color.get_data())
-                if color.get_profile().format() == rs.format.bgr8:
-                    colours = colours[..., ::-1]
+            seen = depth_from(depth)
+            colours = np.array(image_from(color)) if color else None  # a copy: the camera uses its memory again
             yield RecordedFrame(
                 f"{depth.get_frame_number():06d}", time.monotonic() - began, seen.depth, seen.camera, colours
             )

@@ -1,0 +1,71 @@
+"""Requests that wait for a worker, with stand-ins for the estimator: late ones, and work that fails."""
+
+import asyncio
+import time
+from types import SimpleNamespace
+
+import pytest
+
+pytest.importorskip("fastapi", reason="needs a server: pip install 'omad[serve]'")
+
+from helpers.service import FORM, form
+from omad.applications.service.batching import Batcher
+from omad.applications.service.bounded import Bounds, Service
+from omad.applications.service.reply import Reply
+
+
+def test_work_that_fails_is_told_of_in_the_log(capsys):
+    async def ask():
+        batcher = Batcher(lambda batch: [][len(batch)], workers=1, batch=8)
+        asked = SimpleNamespace(category="laptop")
+        reply = await batcher(asked)  # pyright: ignore[reportArgumentType]
+        batcher.close()
+        return reply
+
+    assert asyncio.run(ask()).status == 500
+    assert "IndexError" in capsys.readouterr().err
+
+
+def test_who_is_not_answered_in_time_is_told_so_and_others_go_on():
+    """With a stand-in for the estimator that takes as long as it is told to."""
+
+    class Answers:
+        categories = ("laptop",)
+        batches: list[int] = []  # noqa: RUF012
+
+        def check(self, asked):
+            pass
+
+        def __call__(self, batch):
+            self.batches.append(len(batch))
+            time.sleep(max(float(asked.depth) for asked in batch))
+            return [Reply.of(200, {"depth": asked.depth.decode()}) for asked in batch]
+
+    class Request:
+        def __init__(self, seconds: str) -> None:
+            self.body = form({"category": b"laptop", "depth": seconds.encode(), "intrinsics": b"1"})
+            self.headers = {"content-type": FORM, "Content-Type": FORM}
+
+        async def stream(self):
+            yield self.body
+
+    async def drill():
+        answers = Answers()
+        batcher = Batcher(answers, workers=1, batch=8)
+        service = Service(answers, batcher, Bounds(queue=8, seconds=0.5))
+        late = asyncio.create_task(service.estimate(Request("1.0")))
+        await asyncio.sleep(0.2)
+        waiting = [asyncio.create_task(service.estimate(Request("0.0"))) for _ in range(7)]
+        await asyncio.sleep(0)
+        turned_away = await service.estimate(Request("0.0"))
+        assert turned_away.status == 503
+        assert [(await each).status for each in (late, *waiting)] == [504] * 8
+        assert (service.inside, batcher.waiting) == (0, 0)
+        await asyncio.sleep(0.6)
+        again = [asyncio.create_task(service.estimate(Request("0.1"))) for _ in range(5)]
+        assert [(await each).status for each in again] == [200] * 5
+        batcher.close()
+        return answers.batches
+
+    # those that were told so are not worked on; of five the first goes alone, the others wait and go together
+    assert asyncio.run(drill()) == [1, 1, 4]
