@@ -1,6 +1,7 @@
 """Streams of estimates beside each other, and of sources that break."""
 
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 import torch
@@ -22,15 +23,19 @@ def threads() -> Iterator[int]:
     torch.set_num_threads(before)
 
 
-def test_torch_has_as_many_threads_after_the_last_stream_as_before_the_first(estimator, threads):
+def test_torch_has_as_many_threads_during_streams_and_after_the_last_as_before_the_first(estimator, threads):
     view = laptop_view().observation()
     first, second = (omad.estimate_stream(estimator, [view] * 3, workers=1, batch=1) for _ in range(2))
     next(first)
     next(second)
     list(first)
-    assert torch.get_num_threads() == 1
-    list(second)
     assert torch.get_num_threads() == threads
+    with ThreadPoolExecutor(1) as another:  # as servers end what another thread has begun
+        another.submit(list, second).result()
+        assert another.submit(torch.get_num_threads).result() == threads
+    assert torch.get_num_threads() == threads
+    with ThreadPoolExecutor(1) as later:
+        assert later.submit(torch.get_num_threads).result() == threads
 
 
 def test_what_came_before_a_source_broke_is_answered(estimator):

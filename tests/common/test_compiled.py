@@ -1,6 +1,7 @@
 """Compiled code is kept wherever that can be, loaded by those that come later, and never a reason to fail."""
 
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -58,6 +59,36 @@ def test_a_machine_compiles_once_and_says_so(folder):
     assert (out, err) == ([["5.0", "0"]], "")
 
 
+FAILS = """
+import kept
+import numpy as np
+from numba.core.errors import TypingError
+try:
+    kept.norm(["no number"])
+except TypingError:
+    print(float(kept.norm(np.array([3.0, 4.0]))), len(kept.COMPILED.names))
+"""
+
+
+def test_a_compilation_that_failed_keeps_nobody_waiting(folder):
+    (folder / "kept.py").write_text(MODULE)
+    (folder / "fails.py").write_text(FAILS)
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(folder / "cache")}
+    done = subprocess.run(
+        [sys.executable, "fails.py"], cwd=folder, env=environment, capture_output=True, text=True, timeout=120
+    )
+    assert done.stdout.split()[0] == "5.0", done.stderr
+
+
+@pytest.mark.skipif(shutil.which("bash") is None, reason="needs a shell that closes streams")
+@pytest.mark.parametrize("stderr", ["2>&-", "2>/dev/full"])
+def test_who_reads_no_notices_gets_answers_alone(folder, stderr):
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(folder / "cache")}
+    command = ["bash", "-c", f'"{sys.executable}" "{folder}/kept.py" float64 {stderr}']
+    done = subprocess.run(command, env=environment, stdout=subprocess.PIPE, text=True, timeout=120)
+    assert (done.returncode, done.stdout) == (0, "5.0 2\n")
+
+
 @pytest.mark.slow
 def test_processes_with_a_cold_cache_compile_once_between_them(folder):
     kinds = ["float32", "float64", "int64", "int32"]
@@ -107,10 +138,16 @@ FIRST = """
 import numpy as np, omad
 from omad.common.compiled import COMPILED
 depth = np.ones((60, 60), np.float32) + np.linspace(0, 0.4, 60, dtype=np.float32)[:, None]
-view = omad.Observation.from_depth(depth, (60, 60, 29.5, 29.5))
+K = 60, 60, 29.5, 29.5
+mask = np.pad(np.ones((50, 50), bool), 5)
 estimator = omad.Estimator.from_pretrained("laptop")
 before = len(COMPILED.names)
+view = omad.Observation.from_depth(depth, K, mask)
 estimator(view), estimator([view] * 3)
+for array in (depth, mask, view.points):  # as other processes share them
+    array.setflags(write=False)
+estimator(omad.Observation.from_depth(depth, K, mask)).part_labels
+estimator(omad.Observation(points=view.points)).part_labels
 print(before, len(COMPILED.names))
 """
 

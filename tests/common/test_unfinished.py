@@ -1,4 +1,4 @@
-"""What killed processes left unfinished is taken away, where locks tell that nobody is at it."""
+"""Files on their way to their names: who may read them, and what becomes of those that killed processes left."""
 
 import os
 
@@ -20,6 +20,18 @@ def test_what_a_killed_process_left_is_taken_away_and_what_is_written_is_not(tmp
         write_text(tmp_path / "b.json", "{}")
         assert at_work.is_file()
         assert sorted(os.listdir(tmp_path)) == [at_work.name, "b.json"]
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no modes")
+def test_files_may_be_read_by_whom_the_umask_lets_which_nobody_touches(tmp_path, monkeypatch):
+    before = os.umask(0o027)
+    try:
+        with monkeypatch.context() as others:
+            others.setattr(os, "umask", None)
+            write_text(tmp_path / "a.json", "{}")
+    finally:
+        os.umask(before)
+    assert (tmp_path / "a.json").stat().st_mode & 0o777 == 0o640
 
 
 def test_without_locks_nobody_elses_file_is_taken_away(tmp_path, monkeypatch):

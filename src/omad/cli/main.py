@@ -81,6 +81,9 @@ COMMANDS |= {"export": Export, "deploy": Deploy, "info": Info, "compile": Compil
 def main() -> None:
     """Entry point. Exit codes: 0 done, 1 the work itself failed, 2 bad input or usage, 130 Ctrl-C, 143 SIGTERM."""
     raise_in_work()
+    for name in ("stdout", "stderr"):  # closed by whoever began this
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, "w"))  # noqa: SIM115 (as long as the process)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal without a degree sign is no reason to fail

@@ -3,6 +3,7 @@
 import platform
 import time
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +22,7 @@ with lazy_imports():
     from omad.applications.deployment.export import deploy
     from omad.common.compiled import COMPILED
     from omad.common.runtime import pick_device
-    from omad.data.procedural import generate
-    from omad.data.rendering.standard_views import standard_view
+    from omad.data.rendering.tabletop import draw_tabletop
     from omad.estimation.confidence import model as confidences
     from omad.estimation.confidence.model import Confidence
     from omad.evaluation.demo import run_demo
@@ -171,6 +171,9 @@ class Compile:
     def run(self) -> Answer:
         began = time.perf_counter()
         estimator = omad.Estimator.from_pretrained(shipped_categories()[0], "cpu")
-        view = standard_view(generate(estimator.category, 0, "test"), estimator.category, (0, 0))
-        _ = estimator(omad.Observation.from_depth(view.depth, view.camera, segment="plane")).surface
+        scene = draw_tabletop((estimator.category.name,), (0, 0))
+        seen = partial(omad.Observation.from_depth, scene.depth, scene.camera)
+        for observation in (seen(scene.objects[0].mask), seen(segment="plane", drop_flying=True)):
+            _ = estimator(observation).surface
+        omad.Detector([estimator])(seen())
         return Answer({"compiled": len(COMPILED.names), "seconds": time.perf_counter() - began})

@@ -48,6 +48,12 @@ def as_doubles(values: Any) -> np.ndarray:
     return np.ascontiguousarray(as_numpy(values), dtype=np.float64)
 
 
+def for_loops(array: np.ndarray, dtype: Any = None) -> np.ndarray:
+    """As compiled loops know it: contiguous and writable, as they are compiled anew for what may only be read, as what
+    other processes share is. The same array where it is so."""
+    return np.require(array, dtype, ["C", "W"])
+
+
 def digest_of(tensors: Mapping[str, Tensor | np.ndarray]) -> str:
     """Hexadecimal SHA-256 of numbers with their names, kinds and shapes."""
     digest = hashlib.sha256()

@@ -8,6 +8,8 @@ from typing import TypeVar
 
 from tqdm import tqdm
 
+from .stderr import is_watched, tell
+
 T = TypeVar("T")
 
 
@@ -22,7 +24,7 @@ def progress(
 ) -> Iterable[T]:
     """The same things, with a bar on stderr where a person watches; elsewhere a line ``every`` so many seconds, where
     that is given. ``done``: of the ``total``, those that an earlier run has done."""
-    watched = sys.stderr.isatty()
+    watched = is_watched()
     if not watched and every is not None:
         return _told(things, total, unit, done, every)
     return tqdm(things, total=total, initial=done, unit=unit, file=sys.stderr, disable=not watched)
@@ -36,4 +38,4 @@ def _told(things: Iterable[T], total: int | None, unit: str, done: int, every: f
         if now - told >= every:
             rate, told = count / (now - began), now
             of = "" if total is None else f" of {total}"
-            print(f"{done + count}{of} {unit}s, {rate:.1f} a second", file=sys.stderr, flush=True)
+            tell(f"{done + count}{of} {unit}s, {rate:.1f} a second")

@@ -12,6 +12,7 @@ import sys
 import tempfile
 from collections.abc import Callable
 from contextlib import suppress
+from functools import cache
 from pathlib import Path
 from typing import IO, Any
 
@@ -19,6 +20,8 @@ import numba
 from numba.core import config
 from numba.core.caching import FunctionCache
 from numba.core.runtime.nrt import rtsys
+
+from .stderr import tell
 
 
 class _Compiled:
@@ -30,7 +33,7 @@ class _Compiled:
     def add(self, name: str) -> None:
         """Tell a person why nothing else happens."""
         if not self.names:
-            print("omad: compiling for this machine, once; this takes up to a minute", file=sys.stderr, flush=True)
+            tell("omad: compiling for this machine, once; this takes up to a minute")
         self.names.append(name)
 
 
@@ -42,7 +45,7 @@ class _KeptCode(FunctionCache):
     and a process may read an entry that another one is replacing."""
 
     _lock: IO[bytes] | None = None
-    """Held from the moment that a function has to be compiled until its code is kept."""
+    """Held from the moment that a function has to be compiled until that ended."""
 
     def __init__(self, function: Any) -> None:
         super().__init__(function)
@@ -50,7 +53,7 @@ class _KeptCode(FunctionCache):
         self._cache_file._source_stamp = (self._cache_file._source_stamp, sys.modules["omad"].__version__)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """None where it is to be compiled: the lock is then held, and ``save_overload`` follows."""
+        """None where it is to be compiled: the lock is then held until ``release``."""
         with _locked(self._lock_path, shared=True):
             found = self._load(sig, target_context)
         if found is not None:
@@ -59,18 +62,15 @@ class _KeptCode(FunctionCache):
             self._lock = _locked(self._lock_path)
             found = self._load(sig, target_context)  # by now another process may have kept it
             if found is not None:
-                self._release()
+                self.release()
                 return found
         target_context.refresh()
         COMPILED.add(self._py_func.__qualname__)
         return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        try:
-            with suppress(OSError):  # a full disk is no reason to give no answer
-                super().save_overload(sig, data)
-        finally:
-            self._release()
+        with suppress(OSError):  # a full disk is no reason to give no answer
+            super().save_overload(sig, data)
 
     def _load(self, sig: Any, target_context: Any) -> Any:
         try:
@@ -83,7 +83,9 @@ class _KeptCode(FunctionCache):
                 self.flush()
             return None
 
-    def _release(self) -> None:
+    def release(self) -> None:
+        """Let other processes go on; whoever waits here would wait for ever if a compilation that failed or was
+        interrupted kept the lock."""
         if self._lock is not None:
             self._lock.close()
             self._lock = None
@@ -111,17 +113,43 @@ def compiled(**options: Any) -> Callable[[Any], Any]:
 
     def decorated(function: Any) -> Any:
         found: Any = numba.njit(error_model="numpy", nogil=True, **options)(function)
-        try:
-            found._cache = _KeptCode(function)
-        except RuntimeError:  # Numba found no folder that can be written
-            with suppress(OSError, RuntimeError):
-                config.CACHE_DIR = str(_private_folder())  # pyright: ignore[reportAttributeAccessIssue]
-                found._cache = _KeptCode(function)
+        kept = _kept_code(function)
+        if kept is not None:
+            found._cache = kept
+            found.compile = _releasing(found.compile, kept)
         return found
 
     return decorated
 
 
+def _releasing(compile_: Callable[[Any], Any], kept: _KeptCode) -> Callable[[Any], Any]:
+    def ended(signature: Any) -> Any:
+        try:
+            return compile_(signature)
+        finally:
+            kept.release()
+
+    return ended
+
+
+def _kept_code(function: Any) -> _KeptCode | None:
+    """None where no folder can be written."""
+    try:
+        return _KeptCode(function)
+    except RuntimeError:  # Numba found none
+        pass
+    settings: Any = config
+    others = settings.CACHE_DIR  # of the rest of the program, which keeps its code elsewhere
+    try:
+        settings.CACHE_DIR = str(_private_folder())
+        return _KeptCode(function)
+    except (OSError, RuntimeError):
+        return None
+    finally:
+        settings.CACHE_DIR = others
+
+
+@cache
 def _private_folder() -> Path:
     """Of this user, among the temporary files. Code is loaded from it, so nobody else may write there."""
     user = getattr(os, "getuid", lambda: 0)()

@@ -3,12 +3,14 @@
 import errno
 import json
 import os
+import stat
 import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
-from functools import cache
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
+from uuid import uuid4
 
 from .errors import InputError, WorkError
 from .processes.locks import try_lock
@@ -37,9 +39,19 @@ def write_atomic(path: str | Path, write: Callable[[Path], Any]) -> None:
 
 def publish(temporary: Path, path: Path) -> None:
     """The finished file gets its name, in place of what had it."""
-    os.umask(umask := os.umask(0))
-    temporary.chmod(0o666 & ~umask)  # mkstemp, and some writers, make files that only their owner may read
+    temporary.chmod(_usual_mode(path.parent))  # mkstemp, and some writers, make files that only their owner may read
     temporary.replace(path)
+
+
+def _usual_mode(folder: Path) -> int:
+    """Who may read a new file in a folder. The umask tells, which no thread can ask for without changing it for all."""
+    probe = folder / f"{TEMPORARY}{uuid4().hex}"
+    handle = os.open(probe, os.O_CREAT | os.O_EXCL | os.O_RDWR, 0o666)
+    try:
+        return stat.S_IMODE(os.fstat(handle).st_mode)
+    finally:
+        os.close(handle)
+        probe.unlink(missing_ok=True)  # who sweeps may have come first
 
 
 @contextmanager
@@ -86,7 +98,7 @@ def _locked_file(path: Path) -> tuple[int, str]:
         os.close(handle)  # swept in the moment before it was locked
 
 
-@cache
+@lru_cache(maxsize=1024)
 def _sweep(folder: str) -> None:
     """Take away what killed processes left unfinished; once a folder."""
     if OPEN_STAYS:

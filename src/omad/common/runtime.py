@@ -68,6 +68,14 @@ def undisturbed() -> Iterator[None]:
         yield
 
 
+@contextmanager
+def undrawn() -> Iterator[None]:
+    """What is drawn within leaves PyTorch's random numbers to the caller's program as they were: a network is made with
+    random weights before it gets its own."""
+    with torch.random.fork_rng(devices=[]):
+        yield
+
+
 class Stopwatch:
     """Seconds spent by name. It waits for the device, which may lag behind, before it looks at the clock."""
 

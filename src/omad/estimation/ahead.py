@@ -29,8 +29,9 @@ def compile_ahead(
 
 
 def made_up_view(category: Category) -> Observation:
-    """A tilted square, as large and as far away as an object of the category."""
+    """A tilted square, as large and as far away as an object of the category, that a mask cuts out of a larger one."""
     unit, size, focal = category.metres_per_unit, 48, 72.0
     depth = unit * (3.0 + np.linspace(-0.3, 0.3, size)[:, None] + np.linspace(-0.5, 0.5, size))
     middle = (size - 1) / 2
-    return Observation.from_depth(depth.astype(np.float32), (focal, focal, middle, middle), np.ones((size, size)))
+    mask = np.pad(np.ones((size - 8, size - 8)), 4)
+    return Observation.from_depth(depth.astype(np.float32), (focal, focal, middle, middle), mask)

@@ -82,7 +82,7 @@ class PoseEstimate(PosedObject):
     @property
     def T_camera_base(self) -> np.ndarray:
         """(4, 4) canonical base frame to camera."""
-        return self.T_camera_part[0]
+        return self.T_camera_part[0].copy()
 
     @property
     def joint_states(self) -> np.ndarray:
@@ -234,7 +234,7 @@ class Estimate(PoseEstimate):
         """The parts with their surfaces, as ``surface`` has them."""
         specs, surface = self.category.parts, self.surface
         rows = zip(specs, self.T_camera_part, surface.parts, surface.posed(), strict=True)
-        return tuple(PartEstimate(spec.name, T, mesh, posed) for spec, T, mesh, posed in rows)
+        return tuple(PartEstimate(spec.name, T.copy(), mesh, posed) for spec, T, mesh, posed in rows)
 
     @property
     def part_labels(self) -> np.ndarray:

@@ -97,12 +97,12 @@ class Known:
         """``start`` (category units) with the known values in place of its own."""
         beta, states, pose = start.beta, start.joint_states, start.T_camera_base
         if self.beta is not None:
-            beta = torch.as_tensor(as_doubles(self.beta)).to(beta).expand_as(beta).clone()
+            beta = torch.tensor(as_doubles(self.beta)).to(beta).expand_as(beta).clone()
         if self.joint_states is not None:
             known = torch.as_tensor(as_doubles(self.joint_states) / category.state_units).to(states)
             states = torch.where(known.isnan(), states, known)
         if self.gravity is not None:
-            pose = _upright(pose, torch.as_tensor(as_doubles(self.gravity)).to(pose))
+            pose = _upright(pose, torch.tensor(as_doubles(self.gravity)).to(pose))
         return State(beta, states, pose)
 
     def free(self, category: Category, basis_size: int) -> Tensor:

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 
+from omad.common.arrays import for_loops
 from omad.common.compiled import jit
 from omad.geometry.rigid import box
 
@@ -20,7 +21,7 @@ def nearest(points: np.ndarray, few: np.ndarray) -> np.ndarray:
     cells = np.ravel_multi_index(tuple(np.floor((few - low) / size).astype(np.int64).T), tuple(shape))
     order = np.argsort(cells, kind="stable")
     starts = np.cumsum(np.bincount(cells + 1, minlength=shape.prod() + 1))
-    return order[_search(points, few[order].astype(np.float64), low, size, shape, starts)]
+    return order[_search(for_loops(points), few[order].astype(np.float64), low, size, shape, starts)]
 
 
 @jit

@@ -76,9 +76,9 @@ def make_transform(rotation: Tensor, translation: Tensor) -> Tensor:
 
 
 def quarter_turns() -> Tensor:
-    """(9, 4, 4) quarter, half and three-quarter turns about each axis of a frame."""
-    omega = torch.cat([torch.eye(3) * quarters * (math.pi / 2) for quarters in (1, 2, 3)])
-    return make_transform(so3_exp(omega), torch.zeros(9, 3))
+    """(9, 4, 4) float32 quarter, half and three-quarter turns about each axis of a frame."""
+    omega = torch.cat([torch.eye(3, dtype=torch.float32) * quarters * (math.pi / 2) for quarters in (1, 2, 3)])
+    return make_transform(so3_exp(omega), torch.zeros_like(omega))
 
 
 def invert_transform(transform: Tensor) -> Tensor:

@@ -18,6 +18,7 @@ from omad.common.errors import InputError
 from omad.common.files import write_atomic, write_json
 from omad.common.incoming import CHECKSUM, address_of, as_path, check_seal, is_file, read_sealed, readable, sealed
 from omad.common.limits import check_limit
+from omad.common.runtime import undrawn
 from omad.objects.builtin import builtin_names
 from omad.objects.category import Category
 
@@ -81,7 +82,7 @@ def write_tensors(tensors: dict[str, Tensor], folder: Path) -> None:
 def load(network: type[N], folder: Path) -> N:
     """Read a network on the CPU, ready to run. Raises InputError for anything that is not its checkpoint."""
     config, path = _read_config(folder, network), folder / "model.safetensors"
-    with readable(folder / "config.json", "a checkpoint's description", "copy it anew"):
+    with readable(folder / "config.json", "a checkpoint's description", "copy it anew"), undrawn():
         net = network.from_description(config)
     with _opened(folder) as file:
         tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (it is no dict)

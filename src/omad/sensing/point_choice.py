@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from omad.common.arrays import for_loops
 from omad.common.compiled import inner, jit
 
 CELLS_SEEN = 40
@@ -13,7 +14,7 @@ def choose_points(points: np.ndarray, count: int, samples: int, seed: int) -> np
     each of randomly chosen image cells; where there are too few cells, they repeat. The same on every machine, and the
     first samples are the same however many are drawn."""
     chosen = np.empty((samples, count), dtype=np.int64)
-    _choose(np.ascontiguousarray(points, dtype=np.float32), CELLS_SEEN, np.uint64(seed), chosen)
+    _choose(for_loops(points, np.float32), CELLS_SEEN, np.uint64(seed), chosen)
     return chosen
 
 

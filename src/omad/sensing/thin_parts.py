@@ -5,6 +5,7 @@ What is thick loses but a rim, which does not matter. So a mask grows along what
 
 import numpy as np
 
+from omad.common.arrays import for_loops
 from omad.common.compiled import inner, jit
 
 WIDTH = 14
@@ -32,7 +33,7 @@ def with_thin_parts(mask: np.ndarray, depth: np.ndarray) -> np.ndarray:
     if not mask.any():
         return mask.copy()
     behind = max(BEHIND, ROUGH * _roughness(mask, depth))
-    return _grown(np.ascontiguousarray(mask), np.ascontiguousarray(depth), WIDTH, HOLE, STEP, behind, MOST)
+    return _grown(for_loops(mask), for_loops(depth), WIDTH, HOLE, STEP, behind, MOST)
 
 
 def _roughness(mask: np.ndarray, depth: np.ndarray) -> float:

@@ -22,6 +22,7 @@ from omad.common.files import make_folder, write_atomic, write_text, writing
 from omad.common.incoming import check_file, read_text, readable
 from omad.common.processes.locks import only_one
 from omad.common.processes.signals import deferred
+from omad.common.stderr import is_watched
 from omad.data.surface_bank import SurfaceBank
 from omad.model.checkpoint import Network
 from omad.objects.category import Category
@@ -172,7 +173,7 @@ def _train(
     checked = int(CHECKS * _progress(step, seconds, schedule))
     saved = time.monotonic()
     began, asked = saved - seconds, 0.0
-    quiet = not (processes.first and sys.stderr.isatty())
+    quiet = not (processes.first and is_watched())
     bar = tqdm(total=schedule.steps, initial=step, unit="step", file=sys.stderr, disable=quiet)
     with closing(log) if log else nullcontext(), closing(bar), deferred() as stop:
         while (progress := _progress(step, seconds, schedule)) < 1 and not asked:

@@ -72,7 +72,7 @@ def estimate_stream(
     """Estimates in the order of ``frames``, which may be endless: so many as ``IN_FLIGHT`` batches a worker are taken
     ahead of what the caller has taken. A frame that cannot be read or estimated is told of in its place, and the
     others go on; where ``frames`` itself raises, what came before is told of first. ``workers`` threads, 0: a core
-    each. While it runs, PyTorch has one thread for each of them."""
+    each, in each of which PyTorch has one thread."""
     for name, value, least in (("workers", workers, 0), ("batch", batch, 1)):
         if not isinstance(value, Integral) or not least <= value <= MOST:
             raise InputError(f"{name} {shown(repr(value))}: give a whole number from {least} to {MOST}")
@@ -126,12 +126,12 @@ class _Source:
 
 @contextmanager
 def _one_thread_each() -> Iterator[None]:
-    """PyTorch has one thread meanwhile, and as many as before when the last of several streams ends."""
+    """Threads that begin meanwhile have one of PyTorch's, as the workers do, which says so for the whole process; those
+    that begin when the last of several streams has ended have as many as before."""
     with _STREAMS.lock:
         if not _STREAMS.running:
             _STREAMS.threads = torch.get_num_threads()
         _STREAMS.running += 1
-        torch.set_num_threads(1)
     try:
         yield
     finally:

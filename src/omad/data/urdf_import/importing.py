@@ -22,6 +22,7 @@ from omad.common.errors import InputError
 from omad.common.files import make_folder, write_json
 from omad.common.incoming import read_record, read_text
 from omad.common.processes.locks import only_one
+from omad.common.stderr import is_watched
 from omad.objects.category import Category
 from omad.objects.model import ObjectModel
 from omad.objects.urdf import mesh_files, write_urdf
@@ -108,7 +109,7 @@ def _import_all(
     for name in set(record.stamps) - {object_name(path) for path in paths}:
         record.drop(name)
     refused, notes, models, scales = [], [], [], []
-    for path in tqdm(paths, unit="model", file=sys.stderr, disable=not sys.stderr.isatty()):
+    for path in tqdm(paths, unit="model", file=sys.stderr, disable=not is_watched()):
         name = object_name(path)
         file = output / name / f"{name}.urdf"
         try:

@@ -6,6 +6,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Self, TypeAlias, overload
 
+from omad.common.runtime import undrawn
 from omad.model.checkpoint import category_of, find_weights, load_part, shipped_categories
 from omad.model.omadnet import OmadNet
 from omad.model.prior import OmadPrior
@@ -44,7 +45,8 @@ class LateEstimator:
     @cached_property
     def prior(self) -> OmadPrior:
         """Its network's prior, for which no more of the weights is loaded."""
-        return load_part(OmadPrior(self.category), "prior.", self.folder)
+        with undrawn():
+            return load_part(OmadPrior(self.category), "prior.", self.folder)
 
     @property
     def net(self) -> OmadNet:

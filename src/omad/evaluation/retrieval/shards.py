@@ -14,6 +14,7 @@ from tqdm import tqdm
 from omad.common.arrays import Identity, load_arrays, save_arrays
 from omad.common.batches import batched
 from omad.common.errors import InputError
+from omad.common.stderr import is_watched
 from omad.data.rendering.standard_views import View
 
 Arrays = dict[str, np.ndarray]
@@ -39,7 +40,7 @@ def described_in_shards(
         shards.append(kept)
     done = sum(len(next(iter(shard.values()))) for shard in shards)
     if done < total:
-        bar = {"total": total, "initial": done, "unit": "view", "disable": not sys.stderr.isatty()}
+        bar = {"total": total, "initial": done, "unit": "view", "disable": not is_watched()}
         seen = batched(tqdm(views(done), file=sys.stderr, **bar), BATCH)
         for parts in batched(map(describe, seen), SHARD // BATCH):
             shard = _joined(parts)

@@ -39,7 +39,7 @@ def free_directions(
     eye = torch.eye(6 + num_joints + basis_size, dtype=torch.float64)
     rotation, translation = eye[:, :3], eye[:, 3:6]
     if gravity is not None:
-        vertical = torch.as_tensor(gravity, dtype=torch.float64)
+        vertical = torch.tensor(gravity, dtype=torch.float64)
         rotation = rotation @ (vertical / vertical.norm())[:, None]
     held = [hold_states] * num_joints if isinstance(hold_states, bool) else list(hold_states)
     if len(held) != num_joints:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-import threading
+from collections import deque
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 import numpy as np
 import torch
@@ -37,8 +39,8 @@ def inference_net(net: OmadNet) -> OmadNet | InferenceNet:
 
 
 class InferenceNet:
-    """A network laid out for the CPU; its weights do not change any more. Several threads may call it at once: each has
-    its own buffers."""
+    """A network laid out for the CPU; its weights do not change any more. Several threads may call it at once: there
+    are buffers for as many calls as ever were at work together, however many threads there are."""
 
     def __init__(self, net: OmadNet) -> None:
         assert isinstance(net.backbone, PointNet2)
@@ -47,7 +49,7 @@ class InferenceNet:
         self.part_coarse, self.part_out = Layer.of(net.part_coarse), Layer.of(net.part_out)
         fine = Layer.of(net.part_fine)
         self.part_fine = Layer(fine.weight / 0.2, fine.bias)
-        self.kept = threading.local()
+        self.idle = [deque[Work]() for _ in range(TOGETHER)]
 
     def __reduce__(self) -> tuple[type[InferenceNet], tuple[OmadNet]]:
         """A pickle holds the network once, and no buffers."""
@@ -63,12 +65,12 @@ class InferenceNet:
         logits = points.new_empty(batch, count if labels else 0, len(self.part_out.bias))
         for first in range(0, batch, TOGETHER):
             some = slice(first, min(first + TOGETHER, batch))
-            work = self._work(some.stop - first)
-            self.backbone(clouds[some], work)
-            pooled[some] = work.pooled.rows
-            self._vote(clouds[some], work, keypoints[some].numpy(), log_sigma[some].numpy())
-            if labels:
-                self._label(clouds[some], work, logits[some])
+            with self._work(some.stop - first) as work:
+                self.backbone(clouds[some], work)
+                pooled[some] = work.pooled.rows
+                self._vote(clouds[some], work, keypoints[some].numpy(), log_sigma[some].numpy())
+                if labels:
+                    self._label(clouds[some], work, logits[some])
         return self.net.prediction(pooled, keypoints, log_sigma, logits)
 
     def _vote(self, points: np.ndarray, work: Work, keypoints: np.ndarray, log_sigma: np.ndarray) -> None:
@@ -85,8 +87,14 @@ class InferenceNet:
         kernels.add_blended_relu(work.part_coarse.array, near.index, near.squared, coarse.bias, work.part.array)
         torch.addmm(self.net.part_out.bias, work.part.rows, self.part_out.weight, out=logits.flatten(0, 1))
 
-    def _work(self, clouds: int) -> Work:
-        kept: dict[int, Work] = self.kept.__dict__.setdefault("work", {})
-        if clouds not in kept:
-            kept[clouds] = Work(self.backbone, self, clouds)
-        return kept[clouds]
+    @contextmanager
+    def _work(self, clouds: int) -> Iterator[Work]:
+        idle = self.idle[clouds - 1]
+        try:
+            work = idle.pop()
+        except IndexError:
+            work = Work(self.backbone, self, clouds)
+        try:
+            yield work
+        finally:
+            idle.append(work)

@@ -14,7 +14,7 @@ import torch
 
 from omad.common.arrays import as_numpy
 from omad.common.errors import InputError
-from omad.common.runtime import undisturbed
+from omad.common.runtime import undisturbed, undrawn
 from omad.geometry.mesh import Mesh
 from omad.objects.category import Category
 from omad.objects.pose import ObjectPose
@@ -112,7 +112,8 @@ class Surfaces:
             vars(self).update(state)
             return
         file, category, weights = state["file"], state["category"], state["weights"]
-        prior = OmadPrior(category, len(weights["beta_mean"]), len(weights["joint_hidden.bias"]))
+        with undrawn():
+            prior = OmadPrior(category, len(weights["beta_mean"]), len(weights["joint_hidden.bias"]))
         prior.load_state_dict({name: torch.as_tensor(value) for name, value in weights.items()})
         self.__init__(prior.requires_grad_(False), category, partial(_shared, file, category, prior), state["config"])
         self._file = file
@@ -124,7 +125,8 @@ class Surfaces:
 
     @cached_property
     def _doubles(self) -> OmadPrior:
-        mine = OmadPrior(self.category, self._prior.basis_size, self._prior.joint_hidden.out_features).double()
+        with undrawn():
+            mine = OmadPrior(self.category, self._prior.basis_size, self._prior.joint_hidden.out_features).double()
         mine.load_state_dict(self._prior.state_dict())
         return mine.requires_grad_(False)
 

@@ -87,4 +87,4 @@ class Template:
 
     def at(self, keypoints: np.ndarray) -> tuple[Mesh, ...]:
         """Each part's mesh for keypoints (M, 3), in their unit of length if that is the template's."""
-        return tuple(Mesh(part.vertices.at(keypoints[part.keypoints]), part.faces) for part in self.parts)
+        return tuple(Mesh(part.vertices.at(keypoints[part.keypoints]), part.faces.copy()) for part in self.parts)
