@@ -19,7 +19,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import tyro
@@ -305,7 +305,8 @@ def front(found: Sequence[Example]) -> float:
         each = [(scores + weight * fronts, true) for scores, fronts, true in told]
         return float(np.mean([logsumexp(scores) - scores[true] for scores, true in each]))
 
-    return float(minimize_scalar(loss, bounds=(0, 10), method="bounded").x)
+    best: Any = minimize_scalar(loss, bounds=(0, 10), method="bounded")
+    return float(best.x)
 
 
 def as_it_is() -> np.ndarray:
@@ -339,4 +340,4 @@ def main(config: Config) -> None:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Config))
+    main(tyro.cli(Config, description=__doc__))

@@ -83,6 +83,7 @@ def scenes(config: Config, kind: int, split: Literal["train", "test"]) -> Iterat
 def shared(found: Detection, placed: Placed, scene: Tabletop) -> float:
     """Pixels of both as a share of those of either."""
     mask, truth = found.observation.mask, placed.mask & (scene.depth > 0)
+    assert mask is not None
     return float((mask & truth).sum() / max((mask | truth).sum(), 1))
 
 
@@ -171,4 +172,4 @@ def main(config: Config) -> None:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Config))
+    main(tyro.cli(Config, description=__doc__))

@@ -167,14 +167,16 @@ def report(estimator: Estimator, runs: list[Followed], config: Config) -> dict[s
         kinds: dict[str, Any] = {"name": spec.name}
         for kind in (0, 1):
             found = [
-                spread(factor[j] * np.array([row[kind].joint_states[j] - row[2].states[j] for row in run]))
+                spread(factor[j] * np.array([row[:2][kind].joint_states[j] - row[2].states[j] for row in run]))
                 for run in rows
             ]
-            kinds[("tracked", "alone")[kind]] = {key: float(np.mean([f[key] for f in found])) for key in found[0]}
+            kinds[("tracked", "alone")[kind]] = {
+                key: float(np.mean(np.array([f[key] for f in found], dtype=float))) for key in found[0]
+            }
         kinds["tracked_over_alone"] = {key: kinds["tracked"][key] / kinds["alone"][key] for key in kinds["alone"]}
         joints.append(kinds)
     turns = {
-        kind: [rotation_error(row[i], row[2]) for run in rows for row in run]
+        kind: [rotation_error(row[:2][i], row[2]) for run in rows for row in run]
         for i, kind in enumerate(("tracked", "alone"))
     }
     shapes = [run.shape_errors for run in runs]

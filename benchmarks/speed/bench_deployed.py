@@ -100,4 +100,4 @@ def started(words: list[str]) -> tuple[float, float]:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Config))
+    main(tyro.cli(Config, description=__doc__))

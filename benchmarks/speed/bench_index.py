@@ -137,4 +137,4 @@ def resident() -> float:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Config))
+    main(tyro.cli(Config, description=__doc__))

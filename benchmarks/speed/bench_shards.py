@@ -48,7 +48,7 @@ def main() -> None:
         render, clutter = RenderWork(*view, clutter=False), RenderWork(*view[:-1], "off", clutter=True)
         cost(render, root / "views", long, told.shard)
         bulk = BulkWork((root / "views",), InputOptions(), FrameOptions(), told.category, "cpu", False, 16)
-        pose = PoseWork(told.category, "cpu", False, "procedural", OBJECTS, long, 0, "on", "refuse")
+        pose = PoseWork(told.category, "cpu", False, False, "procedural", OBJECTS, long, 0, "on", "refuse")
         works = {"render": render, "clutter": clutter, "bulk": bulk, "eval": pose}
         print(f"{told.category}, load {os.getloadavg()[0]:.1f}; an image, minimum / median of {told.rounds} rounds")
         print(f"{'':18} {'core ms':>17} {'ms':>17} {'bytes':>8}   a million: core hours, GB")

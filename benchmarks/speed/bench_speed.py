@@ -22,8 +22,6 @@ from pathlib import Path
 
 import numpy as np
 
-GFLOP = {"pass": 0.152}
-"""Multiplications and additions of a pass of the network over a cloud."""
 PASSES = 4
 TURNS = 3
 """Calls of a step, one after the other, as in a robot's loop, before the next step's turn."""
@@ -42,7 +40,7 @@ class Config:
     views: int = 8
     """Depth images; each round takes another, and a batch has all of them, four times over."""
     training_steps: int = 40
-    """Of each training; 0 leaves training out."""
+    """Of each training, at least 40, as every twentieth is logged; 0 leaves training out."""
     json: bool = False
 
 
@@ -66,15 +64,29 @@ def main(config: Config) -> None:
             for worker in workers.values():
                 worker.close()
             answer[category] = _summary(
+                category,
                 {
                     # without the first round, which warms up
                     name: {key: each[len(each) // (config.rounds + 1) :] for key, each in steps.items()}
                     for name, steps in times.items()
-                }
+                },
             )
             if config.training_steps:
                 answer[category] |= _training(versions, category, config.training_steps, Path(folder))
     print(json.dumps(answer) if config.json else "\n\n".join(_table(*item) for item in answer.items()))
+
+
+def _gflop(category: str) -> float:
+    """Multiplications and additions of the matrix products in a pass of a category's network over a cloud, 1e9."""
+    import torch
+    from torch.utils.flop_counter import FlopCounterMode
+
+    import omad
+
+    net = omad.Estimator.from_pretrained(category, device="cpu").net
+    with FlopCounterMode(display=False) as counted, torch.no_grad():
+        net(torch.rand(1, net.backbone.config.points, 3))
+    return 1e-9 * counted.get_total_flops()
 
 
 def _draw(category: str, views: int, path: Path) -> None:
@@ -181,10 +193,10 @@ class _Worker:
 # ---- what came out ----
 
 
-def _summary(times: dict[str, dict[str, list[float]]]) -> dict[str, object]:
+def _summary(category: str, times: dict[str, dict[str, list[float]]]) -> dict[str, object]:
     best = min(min(steps.pop("sgemm")) for steps in times.values())
     rate = 2e-9 * SIZE**3 / best
-    floor = 1e3 * PASSES * GFLOP["pass"] / rate
+    floor = 1e3 * PASSES * _gflop(category) / rate
     rows = {
         key: {
             name: {"min_ms": 1e3 * min(steps[key]), "median_ms": 1e3 * float(np.median(steps[key]))}

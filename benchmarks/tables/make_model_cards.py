@@ -32,13 +32,15 @@ from omad.objects.category_file import get_category
 
 TITLE, ERRORS = "## ", "| objects |"
 """How a card and its table of errors begin."""
+REAL = "real models"
 PAGE = Path(__file__).parents[2] / "docs" / "models.md"
 INTRO = """# Model cards
 
 What the shipped weights are, category by category. All of them were trained on procedural objects alone, so that
 anyone may use them for anything, and know only what such objects are like. Errors are medians (90th percentiles in
 brackets) of the refined answers to standard views of objects that no training has seen; states of hinges in degrees,
-of slides in category units. `python benchmarks/tables/make_model_cards.py` writes this page. How the weights bear wrong
+of slides in category units; 100 views of 50 objects a row, where [Results](results.md) has 200 of 200.
+`python benchmarks/tables/make_model_cards.py --models FOLDER` writes this page. How the weights bear wrong
 masks and other depth cameras is in [Robustness](robustness.md), how to train them in [Training](training.md).
 """
 
@@ -58,7 +60,10 @@ class Config:
 def main(config: Config) -> None:
     before = {part.split()[0]: ERRORS + part.partition(ERRORS)[2] for part in PAGE.read_text().split(TITLE)[1:]}
     asked = config.categories or shipped_categories()
-    cards = [card(name, errors(config, name) if name in asked else before[name]) for name in shipped_categories()]
+    cards = [
+        card(name, errors(config, name, before[name]) if name in asked else before[name])
+        for name in shipped_categories()
+    ]
     write_atomic(PAGE, lambda path: path.write_text("\n".join([INTRO, *cards])))
     print(PAGE)
 
@@ -117,6 +122,7 @@ def stages(record: dict[str, Any], name: str, next_one: str | None = None) -> li
         words.append(f"peak rate {schedule['learning_rate']:g}, seed {schedule['seed']}")
     words += ["spoilt views"] * bool(record.get("clutter"))
     words += ["loss of the refined answer"] * bool(record.get("refinement_loss"))
+    words += [f"{record.get('blended', 0):.0%} of that change kept"] * ("blended" in record)
     words += [f"for {category}"] * (bool(words) and category != name)
     return [*earlier, *([", ".join(words)] if words else [])]
 
@@ -140,21 +146,22 @@ def limits(category: Category) -> str:
     return f"{size}, {seen}; one object an observation; no other builds than the spec's"
 
 
-def errors(config: Config, name: str) -> str:
-    """The table of one category's."""
+def errors(config: Config, name: str, before: str) -> str:
+    """The table of one category's; rows of real models as they were ``before`` where none are given."""
     lines = [f"{ERRORS} noise | joint state | joint axis | base rotation | within 5° 5 % |", "|---" * 6 + "|"]
-    return "\n".join([*lines, *rows(config, name, get_category(name))])
+    real = [line for line in before.splitlines() if line.startswith(f"| {REAL}") and config.models is None]
+    return "\n".join([*lines, *rows(config, name, get_category(name)), *real])
 
 
 def rows(config: Config, name: str, category: Category) -> Iterator[str]:
     sources = {"procedural": "procedural", "unusual procedural": "unusual"}
     if config.models is not None and (config.models / name).is_dir():
-        sources["real models"] = str(config.models / name)
+        sources[REAL] = str(config.models / name)
     for label, source in sources.items():
         for noise in (False, True):
             record = measured(config, name, label, source, noise)
             if record is not None:
-                count = f" ({record['objects']})" if label == "real models" else ""
+                count = f" ({record['objects']})" if label == REAL else ""
                 yield f"| {label}{count} | {'on' if noise else 'off'} | {' | '.join(cells(record, category))} |"
 
 

@@ -2,7 +2,7 @@
 
     OMP_NUM_THREADS=1 python benchmarks/tables/make_seen_table.py [--categories stapler suitcase] [--views 200]
 
-The views of ``make_tables.py`` with noise. Of a joint's two parts the one counts of which less is seen, by its share of
+Noisy views of 20 objects a category. Of a joint's two parts the one counts of which less is seen, by its share of
 the object's pixels: a suitcase behind its own lid, say. Rows of categories that are not asked for stay as they are.
 """
 
@@ -75,4 +75,4 @@ def main(config: Config) -> None:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Config))
+    main(tyro.cli(Config, description=__doc__))

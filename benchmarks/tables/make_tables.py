@@ -192,6 +192,19 @@ def replaced(text: str, name: str, lines: list[str], some: tuple[str, ...] = ())
     return pattern.sub(exchanged, text)
 
 
+FIVE = tuple(PAPER)
+"""The paper's categories."""
+
+
+def put(page: Path, name: str, lines: list[str], whole: bool) -> None:
+    """Exchange a table of a page; one that is not of all categories on the page is printed, and the page stays."""
+    if whole:
+        text = replaced(page.read_text(), name, lines)
+        write_atomic(page, lambda path: path.write_text(text))
+    else:
+        print("\n".join(lines))
+
+
 def put_in(before: list[str], lines: list[str], some: tuple[str, ...]) -> list[str]:
     """Rows of ``some`` categories where they were ``before``, new ones at the end."""
     rows = {name: [line for line in lines if whose(line) == name] for name in some}

@@ -94,7 +94,9 @@ class EvalTable2(_Table):
                 if is_checkpoint(checkpoint):
                     methods[method] = _method(omad.Estimator.from_pretrained(checkpoint, self.device), checkpoint)
                 else:
-                    missing[method] = f"no {checkpoint}; omad eval ablation --category {category.name} makes it"
+                    missing[method] = (
+                        f"no {checkpoint}; omad eval ablation --category {category.name} --features {folder} makes it"
+                    )
             truths, said = _predictions(self.data, self.cache and self.cache / category.name, category, methods)
             bound = self._true_keypoints(estimator, folder)
             if bound is None:
