@@ -1,6 +1,7 @@
 """Every command explains itself at once, and refuses what it does not know."""
 
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -77,3 +78,11 @@ def test_help_loads_nothing_heavy(command):
 def test_version(capsys):
     assert run(["--version"]) == 0
     assert capsys.readouterr().out.strip() == __version__
+
+
+@pytest.mark.skipif(shutil.which("bash") is None, reason="needs a shell that closes streams")
+@pytest.mark.parametrize("closed", [">&-", "2>&-", ">&- 2>&-"])
+def test_streams_may_be_closed(closed):
+    command = ["bash", "-c", f'"{sys.executable}" -m omad --version {closed}']
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")

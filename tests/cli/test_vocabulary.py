@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 
 from helpers.command_line import LAPTOP, K, answer, refused, save_png
-from omad import __version__
 from omad.cli.main import COMMANDS, Group, run
 from omad.common.user_cache import VARIABLE, kept_at, user_cache
 
@@ -71,11 +70,6 @@ def test_lines_of_help_end_where_they_are_full(words, capsys, monkeypatch):
     short = [a for a, b in pairwise(texts) if a and b and len(a) + len(b.split()[0]) < widest]
     assert sum(map(bool, texts)) > 20
     assert not short
-
-
-def test_version(capsys):
-    assert run(["--version"]) == 0
-    assert capsys.readouterr().out.strip() == __version__
 
 
 def test_workers_are_none_or_more(capsys, tmp_path, monkeypatch):
