@@ -31,20 +31,25 @@ Split: TypeAlias = Literal["train", "test"]
 
 @dataclass(frozen=True)
 class ModelSource:
+    """Object models, in their category's canonical space, metres."""
+
     models: list[ObjectModel]
     refused: list[dict[str, str]] = field(default_factory=list)
+    """Name and reason: those that cannot be used."""
     notes: list[dict[str, str]] = field(default_factory=list)
     """Name and reason: what had to be put right about models, as that they are mirror images."""
 
 
 @dataclass(frozen=True)
 class ViewSource:
+    """Views with their truth, drawn or read one by one as they are taken."""
+
     views: Iterable[View]
     total: int
     noisy: bool
     """Whether a camera's noise was simulated."""
     refused: list[dict[str, str]] = field(default_factory=list)
-    """Complete once all views are read."""
+    """Name and reason of what cannot be used. Complete once all views are read."""
     models: Sequence[ObjectModel] = ()
     """What the views were rendered of; none where the source holds images only."""
 

@@ -50,10 +50,12 @@ class KinematicTree:
 
     @property
     def num_joints(self) -> int:
+        """J."""
         return len(self.parents)
 
     @property
     def num_parts(self) -> int:
+        """K: the base, and a part a joint."""
         return len(self.parents) + 1
 
     def path(self, part: int) -> tuple[int, ...]:

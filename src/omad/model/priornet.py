@@ -25,6 +25,8 @@ WIDTH = 96
 
 @dataclass(frozen=True)
 class PriorNetOutput:
+    """What both branches say of B clouds, in the clouds' unit."""
+
     nodes: Tensor
     """(B, M, 3) ordered nodes."""
     beta: Tensor

@@ -1,6 +1,7 @@
 """Pictures of a track: joint states over time, and a film of what was seen."""
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -86,7 +87,7 @@ class Film:
             _draw_axes(draw, camera.zoomed(scale), tracked.estimate)
         self.pictures.append(image)
 
-    def save(self, path, seconds: float) -> None:
+    def save(self, path: Path, seconds: float) -> None:
         """Write the GIF; it takes ``seconds``."""
         first, *others = (picture.quantize(128) for picture in self.pictures)
         each = max(round(1000 * seconds / len(self.pictures)), 20)

@@ -59,10 +59,12 @@ class Layout:
 
     @property
     def folder(self) -> Path:
+        """All of the category."""
         return self.root / self.category
 
     @property
     def camera(self) -> Path:
+        """Intrinsics of all images."""
         return self.root / "camera_intrinsic.json"
 
     @property
@@ -72,24 +74,31 @@ class Layout:
 
     @property
     def rest_states(self) -> Path:
+        """Joint states of the models' files, object by object."""
         return self.folder / "urdf" / "rest_state.json"
 
     def valid(self, split: Split) -> Path:
+        """Names of a split's annotations, one a line."""
         return self.folder / f"{split}.txt"
 
     def annotation(self, name: str) -> Path:
+        """One image's truth."""
         return self.images / "annotations" / name
 
     def object(self, name: str) -> Path:
+        """One object's model and clouds."""
         return self.folder / "urdf" / name
 
     def aligned_urdf(self, name: str) -> Path:
+        """Its model in the category's canonical axes ..."""
         return self.object(name) / "mobility_for_unity_align.urdf"
 
     def plain_urdf(self, name: str) -> Path:
+        """... and in its own."""
         return self.object(name) / "mobility_for_unity.urdf"
 
     def points(self, name: str, part: int) -> Path:
+        """A cloud of one of its parts."""
         return self.object(name) / "part_point_sample" / f"{part}.xyz"
 
 

@@ -21,8 +21,10 @@ OFF_CENTRE = 0.15
 """Largest shift of the object's centre off the image centre, as a share of the frame."""
 
 
-def uniform(low: Tensor | float, high: Tensor | float, shape: tuple[int, ...], like: Tensor, generator) -> Tensor:
-    """Uniform numbers of ``like``'s dtype and device."""
+def uniform(
+    low: Tensor | float, high: Tensor | float, shape: tuple[int, ...], like: Tensor, generator: torch.Generator | None
+) -> Tensor:
+    """Uniform numbers (*shape) from ``low`` to ``high``, of ``like``'s dtype and device."""
     return low + (high - low) * torch.rand(shape, dtype=like.dtype, device=like.device, generator=generator)
 
 
