@@ -110,6 +110,20 @@ def test_one_viewpoint_tells_of_the_shape_once():
     np.testing.assert_allclose(belief.covariance, np.eye(2) / 5, rtol=1e-6)
 
 
+def test_a_cold_start_adds_to_what_is_known_of_the_shape():
+    """Its prior is the category's, however much is believed already."""
+    prior, seen, truth = np.eye(2), 20 * np.eye(2), np.array([1.0, -1.0])
+    belief = ShapeBelief(ShapeConfig(most_views=20.0), np.zeros(2), prior)
+    for _ in range(5):
+        before = np.linalg.inv(belief.covariance)
+        posterior = np.linalg.inv(before + seen)
+        belief.update(posterior @ (before @ belief.mean + seen @ truth), posterior, 1.0)
+    posterior = np.linalg.inv(prior + seen)
+    belief.update(posterior @ seen @ truth, posterior, 1.0, cold=True)
+    np.testing.assert_allclose(belief.covariance, np.eye(2) / (1 + 6 * 20))
+    np.testing.assert_allclose(belief.mean, truth * 120 / 121)
+
+
 @pytest.mark.slow
 def test_lost_and_found(folder, capsys):
     code = run(["track", str(folder), "--fps", "5", *GIVEN])

@@ -85,6 +85,21 @@ def test_recovers_the_truth_from_perturbed_starts(category: Category, backend) -
     assert refined.iterations.max() < 40
 
 
+@each_backend
+def test_a_single_keypoint_is_enough_to_begin_with(backend) -> None:
+    """It tells of no rotation."""
+    s = scene(CASES[0], batch=1)
+    weights = torch.zeros_like(s.targets.weights)
+    weights[:, 0] = 100.0
+    targets, refiner = (
+        Targets(s.targets.keypoints, weights),
+        Refiner(s.prior, s.limits, RefinementConfig(backend=backend)),
+    )
+    refined = refiner(targets, refiner.with_fitted_pose(targets, s.start))
+    assert refined.state.T_camera_base.isfinite().all()
+    assert refined.residual.max() < 1e-6
+
+
 @pytest.mark.slow
 @each_case
 @pytest.mark.parametrize("huber", [None, 2.0])

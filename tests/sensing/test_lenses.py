@@ -10,7 +10,7 @@ from helpers.command_line import laptop_view
 from helpers.lenses import BROWN, K, seen_through
 from omad.applications.detection.detector import Detection
 from omad.common.errors import InputError
-from omad.geometry.camera import STANDARD_CAMERA
+from omad.geometry.camera import STANDARD_CAMERA, Camera
 from omad.geometry.lens import Distortion
 from omad.sensing.camera_files import parse_distortion, read_camera
 from omad.sensing.input_options import FrameOptions, InputOptions
@@ -34,6 +34,28 @@ def test_a_lens_is_undone(lens):
     for place in seen[:20]:  # an independent solver agrees
         solved = least_squares(lambda ray, place=place: lens.distort(ray[None])[0] - place, place, xtol=1e-14)
         assert np.allclose(lens.undistort(place[None])[0], solved.x, atol=1e-7)
+
+
+def test_beyond_its_fold_a_lens_shows_nothing():
+    """With k1 = -0.3 rays r are seen at r - 0.3 r^3, at most 0.703, where r is 1.054; then it leads back."""
+    lens = Distortion("plumb_bob", (-0.3, 0, 0, 0))
+    assert lens.fold == pytest.approx(1 / np.sqrt(0.9), abs=1e-3)
+    seen = np.array([[0.6, 0], [0, -0.69], [0.8, 0], [1.0, 0], [1.5, 0.1], [2.0, -2.0]])
+    rays = lens.undistort(seen)
+    assert np.isnan(rays).all(1).tolist() == [False, False, True, True, True, True]
+    np.testing.assert_allclose(lens.distort(rays[:2]), seen[:2], atol=1e-9)
+    assert Distortion("plumb_bob", (0.3, 0, 0, 0)).fold == np.inf
+
+
+def test_a_rectified_image_has_no_ghosts_in_its_corners():
+    camera = Camera(640, 480, 300, 300, 319.5, 239.5, Distortion("plumb_bob", (-0.3, 0, 0, 0)))
+    rows, columns = np.mgrid[:480, :640]
+    rays = camera.rays(np.stack([columns.ravel(), rows.ravel()], 1)).reshape(480, 640, 2)
+    x, y = rays[..., 0], rays[..., 1]
+    image = ((x > 0.4) & (x < 0.64) & (y > 0.3) & (y < 0.48)).astype(np.uint8)
+    shown = np.argwhere(camera.rectified(image))
+    np.testing.assert_allclose(shown.min(0), (239.5 + 300 * 0.3, 319.5 + 300 * 0.4), atol=1)
+    np.testing.assert_allclose(shown.max(0), (239.5 + 300 * 0.48, 319.5 + 300 * 0.64), atol=1)
 
 
 def test_what_a_wide_lens_shows_beyond_the_picture_is_left_out():

@@ -172,10 +172,12 @@ class Near:
 
 
 def _upright(pose: Tensor, gravity: Tensor) -> Tensor:
-    """Turn each base (B, 4, 4) by the smallest rotation that brings its down direction to ``gravity``."""
+    """Turn each base (B, 4, 4) by the smallest rotation that brings its down direction to ``gravity``; one that stands
+    on its head, about its x axis."""
     down = -pose[:, :3, 1]
     goal = (gravity / gravity.norm()).expand_as(down)
     axis = torch.linalg.cross(down, goal, dim=-1)
     sine, cosine = axis.norm(dim=-1, keepdim=True), (down * goal).sum(-1, keepdim=True)
-    turn = so3_exp(axis / sine.clamp(min=1e-9) * torch.atan2(sine, cosine))
+    axis = torch.where(sine < LEAST, pose[:, :3, 0], axis / sine.clamp(min=LEAST))
+    turn = so3_exp(axis * torch.atan2(sine, cosine))
     return make_transform(turn @ pose[:, :3, :3], pose[:, :3, 3])

@@ -79,7 +79,10 @@ class Camera:
     def rectified(self, image: np.ndarray) -> np.ndarray:
         """The image (H, W) as ``pinhole`` would see it: each pixel takes the nearest one, outside is 0."""
         pixels = np.indices(image.shape)[::-1].reshape(2, -1).T
-        place = self.project(self.pinhole.backproject(pixels, np.ones(len(pixels))))
+        rays = self.pinhole.backproject(pixels, np.ones(len(pixels)))
+        place = self.project(rays)
+        if self.distortion is not None:
+            place[np.hypot(*rays[:, :2].T) > self.distortion.fold] = np.nan
         column, row = np.clip(np.nan_to_num(np.rint(place), nan=-1), -1, image.shape[::-1]).astype(int).T
         return np.pad(image, 1)[row + 1, column + 1].reshape(image.shape)
 

@@ -4,7 +4,7 @@ method). Rays and places are (x, y) = (X / Z, Y / Z): pixels without focal lengt
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -15,6 +15,8 @@ CLOSE = 1e-9
 """Of a seen place to the one asked for: a millionth of a pixel."""
 STEP = 1e-6
 """Of the difference quotient."""
+FARTHEST, SAMPLES = 10.0, 20_001
+"""Up to where a fold is looked for, and at how many places: nothing is seen 84 degrees beside the axis."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +47,17 @@ class Distortion:
         k = np.array([*self.coefficients, *[0] * 8][:8], dtype=np.float64)
         return np.stack(MODELS[self.model][0](rays[:, 0], rays[:, 1], k), 1)
 
+    @cached_property
+    def fold(self) -> float:
+        """Length of rays (tangent of their angle to the axis) up to which the model holds: beyond, polynomials lead
+        back to the image's middle, where no lens shows them. Infinite where they do not."""
+        lengths, found = np.linspace(0, FARTHEST, SAMPLES)[1:], np.inf
+        for way in ((1, 0), (-1, 0), (0, 1), (0, -1)):
+            back = np.diff(self.distort(np.outer(lengths, way)) @ way) <= 0
+            if back.any():
+                found = min(found, float(lengths[back.argmax()]))
+        return found
+
     def undistort(self, seen: np.ndarray) -> np.ndarray:
         """Rays (N, 2) of what is seen at (N, 2); NaN where the lens shows none there."""
         rays = np.array(seen, dtype=np.float64)
@@ -58,7 +71,7 @@ class Distortion:
                 determinant = dx[:, 0] * dy[:, 1] - dx[:, 1] * dy[:, 0]
                 rays[:, 0] -= (dy[:, 1] * error[:, 0] - dy[:, 0] * error[:, 1]) / determinant
                 rays[:, 1] -= (dx[:, 0] * error[:, 1] - dx[:, 1] * error[:, 0]) / determinant
-            right = (np.abs(self.distort(rays) - seen) < 1e3 * CLOSE).all(1)
+            right = (np.abs(self.distort(rays) - seen) < 1e3 * CLOSE).all(1) & (np.hypot(*rays.T) <= self.fold)
         rays[~right] = np.nan
         return rays
 

@@ -77,14 +77,16 @@ class Film:
                 ImageDraw.Draw(blank).text((6, 4), tracked.status, fill="white")
                 self.pictures.append(blank)
             return
-        camera, scale = observation.camera, WIDTH / observation.camera.width
-        image = Image.fromarray(frame_image(observation)).resize((WIDTH, round(scale * camera.height)))
+        scale = WIDTH / observation.camera.width
+        corner = 0.5 / scale - 0.5  # pixel centres are at integers
+        image = Image.fromarray(frame_image(observation)).resize((WIDTH, round(scale * observation.camera.height)))
+        camera = observation.camera.zoomed(scale, corner, corner, image.size)
         if tracked.estimate is not None:
-            image = _with_surface(image, camera.zoomed(scale, size=image.size), tracked.estimate)
+            image = _with_surface(image, camera, tracked.estimate)
         draw = ImageDraw.Draw(image)
         draw.text((6, 4), f"{tracked.time:.1f} s  {tracked.status}", fill="black", stroke_width=2, stroke_fill="white")
         if tracked.estimate is not None:
-            _draw_axes(draw, camera.zoomed(scale), tracked.estimate)
+            _draw_axes(draw, camera, tracked.estimate)
         self.pictures.append(image)
 
     def save(self, path: Path, seconds: float) -> None:

@@ -34,11 +34,12 @@ class ShapeBelief:
         """The share of a new view that a frame is whose view moved by so many radians since the last frame."""
         return 1.0 if self.views == 0 else 1 - float(np.exp(-moved / self.config.new_view))
 
-    def update(self, mean: np.ndarray, covariance: np.ndarray, share: float) -> None:
-        """Take in the posterior of a frame that was estimated with this belief as its prior, counted by ``share``."""
+    def update(self, mean: np.ndarray, covariance: np.ndarray, share: float, cold: bool = False) -> None:
+        """Take in the posterior of a frame, counted by ``share``. Its prior was this belief, or the category's where it
+        was a ``cold`` start's."""
         if share <= 0 or not np.isfinite(covariance).all():
             return
-        seen = _natural(mean, covariance) - self._belief  # what the frame alone has said
+        seen = _natural(mean, covariance) - (self._prior if cold else self._belief)  # what the frame alone has said
         kept = min(1.0, (self.config.most_views - share) / max(self.views, 1e-9))
         self.views = kept * self.views + share
         self._belief = self._prior + kept * (self._belief - self._prior) + share * seen

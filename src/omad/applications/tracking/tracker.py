@@ -156,19 +156,21 @@ class Tracker:
         track.now = time
         if observation is None:
             return self._miss(track, None, None)
-        known = _of_one_hand(known, track.last)
+        known, cold = _of_one_hand(known, track.last), None
         single = no_surer(self.estimator.near(observation, self._near(track), known), observation.likelihood)
         if time - track.believed > self.config.lost_after:  # unseen for so long, it may be anywhere
-            single = max(single, self._cold(observation, known), key=evidence)
+            cold = self._cold(observation, known)
+            single = max(single, cold, key=evidence)
         surprise = self._surprise(track, single)
         believed = surprise < self._limit and self._plausible(single)
         track.since_challenge += 1
         if not believed or track.doubt > 0 or track.since_challenge == self.config.challenge_every:
             track.since_challenge = 0
-            single, believed = self._challenge(track, single, self._cold(observation, known), believed)
+            cold = cold or self._cold(observation, known)
+            single, believed = self._challenge(track, single, cold, believed)
             surprise = self._surprise(track, single)
         if believed:
-            return self._believe(track, single, surprise)
+            return self._believe(track, single, surprise, single is cold)
         plausible = self._plausible(single)
         if plausible and self._candidate is not None and self._agree(self._candidate, single):
             return self._start(single, time)
@@ -204,7 +206,7 @@ class Tracker:
         self._track = _Track(motion, single, time, time, common, Placement.of(single))
         return TrackedEstimate(time, "tracking", self._answer(self._track), single, None, restarted=True)
 
-    def _believe(self, track: _Track, single: Estimate, surprise: float) -> TrackedEstimate:
+    def _believe(self, track: _Track, single: Estimate, surprise: float, cold: bool) -> TrackedEstimate:
         n, jitter = self._size, self.config.jitter
         covariance = single.covariance[:n, :n]
         track.motion.update(Placement.of(single), jitter * covariance)
@@ -215,7 +217,7 @@ class Tracker:
         lengths = np.where(self.estimator.category.turning, 1, 1 / self._unit)
         share = self.shape.count(float(np.linalg.norm(step[:3]) + np.linalg.norm(step[6:] * lengths)))
         track.last_view = here
-        self.shape.update(single.beta, single.covariance[n:, n:], share)
+        self.shape.update(single.beta, single.covariance[n:, n:], share, cold)
         return TrackedEstimate(track.now, "tracking", self._answer(track), single, surprise)
 
     def _miss(self, track: _Track, single: Estimate | None, surprise: float | None) -> TrackedEstimate:

@@ -111,7 +111,8 @@ def invert(A, L, unit, column, out):
 
 @inner
 def fit_rotation(moment, out):
-    """The rotation nearest to ``moment`` = sum of b a^T, which brings points a nearest to points b.
+    """The rotation nearest to ``moment`` = sum of b a^T, which brings points a nearest to points b; the identity where
+    that is 0.
 
     Horn, "Closed-form solution of absolute orientation using unit quaternions", 1987. The matrix whose first
     eigenvector is the quaternion is made positive and squared until nothing else is left of it.
@@ -127,6 +128,11 @@ def fit_rotation(moment, out):
             K[i + 1, n + 1] = moment[i, n] + moment[n, i]
             size += moment[i, n] ** 2
         K[i + 1, i + 1] -= trace
+    if size == 0.0:  # of a single point, say, which tells nothing
+        for i in range(3):
+            for n in range(3):
+                out[i, n] = 1.0 if i == n else 0.0
+        return
     shift = 2.0 * math.sqrt(size)  # no eigenvalue is below minus the sum of the three singular values
     for i in range(4):
         K[i, i] += shift
