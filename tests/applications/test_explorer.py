@@ -7,6 +7,7 @@ import socket
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -125,6 +126,15 @@ def test_a_file_is_fitted_as_the_estimate_command_does(tmp_path):
     text = describe_fit(fit)
     assert "`one.png`" in text
     assert f"{np.degrees(fit.estimate.joints[0].state):.1f}°" in text
+
+
+def test_what_strangers_files_are_called_is_shown_and_not_run(tmp_path):
+    path = save_png(str(tmp_path / "one.png"))
+    fit = fit_file(estimator("laptop"), FitRequest.of_texts(path, K[1], "", "", False, "", Places((tmp_path,))))
+    told = replace(fit.estimate, warnings=("<iframe src=x>.color.png [a](b) does not lie on it",))
+    text = describe_fit(replace(fit, estimate=told))
+    assert "iframe" in text
+    assert not {*"<["} & {*text}
 
 
 @pytest.mark.parametrize(

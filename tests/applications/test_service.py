@@ -220,6 +220,13 @@ def test_other_addresses_and_methods_are_refused_in_the_words_of_all_errors(serv
         assert "POST /estimate" in reply.record["error"]
 
 
+def test_an_endless_field_keeps_nobody_waiting(service):
+    began = time.monotonic()
+    answer = service.post(fields(box=b"look at estimate.png " * 40_000))
+    assert (answer.status, time.monotonic() - began < 5) == (400, True)
+    assert len(answer.body) < 5000
+
+
 def test_messages_name_fields_and_no_options(service):
     labels = png((depths()[0] > 0).astype(np.uint8) + 1)
     error = service.post(fields(mask=labels)).record["error"]
@@ -336,6 +343,7 @@ def test_bounds_hold():
             each.close()
         trickle = small.raw(b"GET /health HTTP/1.1\r\nHost:")
         assert trickle == b""
+        assert small.raw(b"") == b""  # closed, as who says nothing keeps others from being heard
 
 
 @pytest.mark.slow

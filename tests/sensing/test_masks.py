@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from matplotlib.path import Path as Outline
 from PIL import Image
 
 from omad.common.errors import InputError
@@ -241,6 +242,22 @@ def test_floats_that_are_whole_numbers_are_as_integers() -> None:
 def test_a_string_that_goes_on_for_ever_is_refused_at_once() -> None:
     with pytest.raises(InputError, match="no string of COCO run lengths"):
         as_mask({"size": [40, 60], "counts": "o" * 10_000_000})
+
+
+def test_polygons_of_any_kind_are_filled_as_another_program_fills_them() -> None:
+    """Matplotlib, say: triangles partly or wholly outside of the image."""
+    rng = np.random.default_rng(0)
+    centres = np.stack(np.meshgrid(np.arange(40) + 0.5, np.arange(30) + 0.5), -1)
+    for corners in rng.uniform(-10, 45, (20, 3, 2)):
+        inside = Outline(corners).contains_points(centres.reshape(-1, 2)).reshape(30, 40)
+        found = as_mask({"size": [30, 40], "segmentation": [corners.ravel().tolist()]})
+        assert np.array_equal(found, inside)
+
+
+def test_polygons_that_take_hours_are_refused() -> None:
+    zigzag = [value for i in range(100_000) for value in (i % 7, 5000 * (i % 2))]
+    with pytest.raises(InputError, match="too many corners"):
+        as_mask({"size": [5000, 9000], "segmentation": [zigzag]})
 
 
 def test_polygons() -> None:

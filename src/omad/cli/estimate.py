@@ -15,7 +15,7 @@ import tyro
 from tyro.conf import OmitArgPrefixes
 
 import omad
-from omad.common.errors import InputError, named
+from omad.common.errors import InputError, as_line, named
 from omad.common.files import check_folder, replacing, write_json
 from omad.common.lazy import lazy_imports
 from omad.sensing.input_options import FrameOptions, InputOptions
@@ -162,7 +162,7 @@ class EstimateCommand(CategoryCommand):
         with replacing(_earlier(folder)):
             if found.none:
                 record = found.none_of_them()
-                print(f"{view.file}: none of the categories ({nearest_text(record)}) -> {folder}", file=sys.stderr)
+                _say(f"{view.file}: none of the categories ({nearest_text(record)}) -> {folder}")
             else:
                 record = found.to_dict()
                 if T_world_camera is not None:
@@ -189,13 +189,20 @@ class EstimateCommand(CategoryCommand):
         name = "" if found.ranking is None or self.category != AUTO else f"{_named(found.ranking)}: "
         notes = [picture.how_sure(estimate), "" if estimate.converged else "not converged"]
         note = ", ".join(filter(None, notes))
-        print(f"{file}: {name}{joints}{note and f' ({note})'} -> {folder}", file=sys.stderr)
+        _say(f"{file}: {name}{joints}{note and f' ({note})'} -> {folder}")
         for warning in warnings:
-            print(f"{file}: warning: {warning}", file=sys.stderr)
+            _say(f"{file}: warning: {warning}")
         if found.checks:
-            print(f"{file}: {'doubtful; ' if found.doubtful else ''}check:", file=sys.stderr)
+            _say(f"{file}: {'doubtful; ' if found.doubtful else ''}check:")
         for check in found.checks:
-            print(f"  [ ] {check.name}: {check.what}\n      why: {check.why}\n      do:  {check.cure}", file=sys.stderr)
+            _say(f"  [ ] {check.name}: {check.what}")
+            _say(f"      why: {check.why}")
+            _say(f"      do:  {check.cure}")
+
+
+def _say(line: str) -> None:
+    """On stderr; a file's name may hold what tells a terminal to do something."""
+    print(as_line(line), file=sys.stderr)
 
 
 def _named(ranking: Ranking) -> str:
@@ -209,7 +216,7 @@ def _pose(file: Path) -> Any:
     """T_world_camera (4, 4), with a line on stderr where it seems to be in other units. Raises InputError."""
     T_world_camera = read_transform(file, "T_world_camera")
     for doubt in world.unit_doubts(T_world_camera):
-        print(f"omad: warning: {file}: {doubt}", file=sys.stderr)
+        _say(f"omad: warning: {file}: {doubt}")
     return T_world_camera
 
 

@@ -17,7 +17,7 @@ os.environ.setdefault("GOMP_SPINCOUNT", "0")
 import tyro
 
 from omad import __version__
-from omad.common.errors import InputError, WorkError, shown
+from omad.common.errors import InputError, WorkError, as_line, shown
 from omad.common.files import NO_ROOM, one_line
 from omad.common.processes.signals import end_at_once, exit_code, raise_in_work
 
@@ -142,7 +142,8 @@ def run(arguments: list[str]) -> int:
         if exit_code():  # a library may turn an interruption into an error of its own
             return _interrupted()
         raise
-    print(as_json(answer.record) if command.json else answer.text(answer.record))
+    text = as_json(answer.record) if command.json else answer.text(answer.record)
+    print("\n".join(map(as_line, text.splitlines())))
     return answer.code
 
 

@@ -7,12 +7,15 @@ from typing import Any
 SHOWN = 160
 """Characters of a foreign reader's own message, and of either half of a path."""
 
+LONGEST = 4000
+"""Characters of a message."""
+
 
 class InputError(ValueError):
     """Bad input. The message is one line that names the file or field and the cure; the command line exits with 2."""
 
     def __init__(self, message: str) -> None:
-        super().__init__(as_line(message))
+        super().__init__(as_line(message if len(message) <= LONGEST else f"{message[:LONGEST]}..."))
 
 
 class NothingSeen(InputError):
@@ -23,7 +26,7 @@ class WorkError(RuntimeError):
     """The input was in order and the work failed. One line; the command line exits with 1."""
 
     def __init__(self, message: str) -> None:
-        super().__init__(as_line(message))
+        super().__init__(as_line(message if len(message) <= LONGEST else f"{message[:LONGEST]}..."))
 
 
 def as_line(text: str) -> str:

@@ -249,9 +249,10 @@ def check_unit(metres_per_unit: float) -> None:
 
 
 def _check_name(name: str) -> None:
-    """Names become those of files and links."""
-    if not 0 < len(name) <= LONGEST_NAME or {*name} & {*"/\\\0\n"} or name in (".", ".."):
-        raise ValueError(f"name: is {name[:LONGEST_NAME]!r}; give a short one without / and \\")
+    """Names become those of files and links, and stand in tables and pages."""
+    odd = not name.isprintable() or {*name} & {*"/\\<>&\"'`|"} or name[:1] in {*"=+-@"} or name in (".", "..")
+    if odd or not 0 < len(name) <= LONGEST_NAME:
+        raise ValueError(f"name: is {name[:LONGEST_NAME]!r}; give a short one of letters, digits and _")
 
 
 def _check_unique(named: PartSpec | JointSpec, all: Sequence[PartSpec | JointSpec]) -> None:

@@ -28,6 +28,8 @@ FARTHEST = 1e3
 LENS, FISHEYE = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"), ("k1", "k2", "k3", "k4")
 """Coefficients by name, in OpenCV's order."""
 SCALE = "depth_scale"
+YAML_CHARACTERS = 100_000
+"""Which take a second to read."""
 OPENCV = "%YAML:1.0"
 """How OpenCV's files begin, which is no YAML."""
 REALSENSE = ("none", "modified_brown_conrady", "inverse_brown_conrady", "ftheta", "brown_conrady", "kannala_brandt4")
@@ -185,6 +187,8 @@ def _parsed(content: str, name: str | Path) -> Any:
         return numbers
     if content.lstrip().startswith("{"):  # YAML reads JSON too, but not the tabs that JSON allows
         return parse_json(content, name)
+    if len(content) > YAML_CHARACTERS:
+        raise InputError(f"{name}: YAML of {len(content)} characters; give what tells of the camera alone, or JSON")
     try:
         # `rostopic echo` ends each message with a ---
         return next(yaml.load_all(content.removeprefix(OPENCV), _PlainYaml), None)

@@ -31,6 +31,8 @@ HUE_BINS, OTHER_HUE, MANY = 36, np.pi / 6, 0.02
 """Of a circle of hues, and how far from the commonest a hue is another one; which share of the pixels are many."""
 LONGEST = 35
 """Bits of a run length in COCO's strings; no image has so many pixels."""
+EDGE, MOST_WORK = 1000, 300_000_000
+"""What an edge of a polygon costs beside a pixel of its box, and pixels at most: some seconds."""
 WHOLE, SPECK = 0.95, 0.0005
 """Shares of the image above and below which a mask is doubtful."""
 MUCH = 0.25
@@ -267,8 +269,7 @@ def _decompressed(text: str | bytes) -> list[int]:
 
 def _filled(polygons: Any, height: int, width: int) -> np.ndarray:
     """(H, W) bool, pixels whose centres are inside any of the polygons; pixel (0, 0) reaches from 0 to 1."""
-    filled = np.zeros((height, width), dtype=bool)
-    x, y = np.arange(width) + 0.5, np.arange(height) + 0.5
+    filled, work = np.zeros((height, width), dtype=bool), 0
     for polygon in polygons if isinstance(polygons, Sequence | np.ndarray) else [polygons]:
         try:
             corners = np.asarray(polygon, dtype=float).ravel()
@@ -278,14 +279,24 @@ def _filled(polygons: Any, height: int, width: int) -> np.ndarray:
             raise InputError("mask: a polygon holds NaN or infinity; give x, y, x, y ... in pixels")
         if len(corners) < 6 or len(corners) % 2:
             raise InputError(f"mask: a polygon of {len(corners)} numbers; give x, y, x, y ... of three corners or more")
-        inside = np.zeros_like(filled)
-        starts = corners.reshape(-1, 2)
-        for (x0, y0), (x1, y1) in zip(starts, np.roll(starts, -1, axis=0), strict=True):
-            rows = (y0 <= y) != (y1 <= y)
-            crossing = x0 + (y[rows] - y0) * (x1 - x0) / (y1 - y0 or 1.0)
-            inside[rows] ^= x < crossing[:, None]
-        filled |= inside
+        corners = corners.reshape(-1, 2)
+        low, high = (np.clip(ends, 0, (width, height)).astype(int) for ends in (corners.min(0), corners.max(0) + 1))
+        across, down = high - low
+        work += int(across * down + len(corners) * (EDGE + down))
+        if work > MOST_WORK:
+            raise InputError("mask: polygons with too many corners; give run lengths, or an image")
+        filled[low[1] : high[1], low[0] : high[0]] |= _inside(corners - low, across, down)
     return filled
+
+
+def _inside(corners: np.ndarray, width: int, height: int) -> np.ndarray:
+    """(H, W) bool, pixels whose centres are inside one polygon (n, 2): an odd number of its edges lies beyond them."""
+    x, y = np.arange(width) + 0.5, np.arange(height) + 0.5
+    edges = np.zeros((height, width + 1), dtype=bool)
+    for (x0, y0), (x1, y1) in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        rows = np.arange(*np.sort(np.searchsorted(y, (y0, y1))))
+        edges[rows, np.searchsorted(x, x0 + (y[rows] - y0) * (x1 - x0) / (y1 - y0 or 1.0))] ^= True
+    return np.logical_xor.accumulate(edges[:, ::-1], axis=1)[:, ::-1][:, 1:]
 
 
 def odd_mask(mask: np.ndarray | None, given: np.ndarray | None) -> tuple[str, ...]:

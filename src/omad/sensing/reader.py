@@ -270,4 +270,4 @@ def parse_numbers(text: str, count: int, name: str) -> list[float]:
         values = [float(word) for word in text.split(",")]
         if len(values) == count:
             return values
-    raise InputError(f"{name} {text}: expected {count} numbers with commas between them")
+    raise InputError(f"{name} {shown(text)}: expected {count} numbers with commas between them")

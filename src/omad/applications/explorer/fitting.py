@@ -7,7 +7,7 @@ from typing import Self
 
 import numpy as np
 
-from omad.common.errors import InputError, shown
+from omad.common.errors import InputError, as_line, shown
 from omad.data.procedural import GENERATORS, generate
 from omad.data.rendering.standard_views import standard_view
 from omad.estimation.estimate import Estimate
@@ -21,6 +21,8 @@ from omad.sensing.reader import InputReader
 
 from .places import Places
 
+MARKUP = {*"&<>|`[]!*_\\~#"}
+"""What Markdown reads otherwise than letter by letter."""
 MAX_POINTS = 8_000
 """Of a cloud that are drawn."""
 
@@ -94,13 +96,18 @@ def describe_fit(fit: Fit) -> str:
         per_unit, unit = reading(joint.pivot is not None)
         low, high = (limit / per_unit for limit in joint.limits)
         state, std = joint.state / per_unit, joint.state_std / per_unit
-        rows.append(f"| {joint.name} | {state:.1f}{unit} | {std:.1f}{unit} | {low:.0f} to {high:.0f}{unit} |")
+        rows.append(f"| {_literal(joint.name)} | {state:.1f}{unit} | {std:.1f}{unit} | {low:.0f} to {high:.0f}{unit} |")
     milliseconds = 1000 * sum(estimate.seconds.values())
     said = f"{len(estimate.part_labels)} points, residual {1000 * estimate.residual:.1f} mm, {milliseconds:.0f} ms"
     doubts = [*estimate.warnings] + ["the fit did not converge"] * (not estimate.converged)
     doubts += ["doubtful: rather wrong than right"] * bool(estimate.doubtful)
-    found = [f"**Found in** `{fit.title.replace('`', '')}`", "\n".join(rows), said]
-    return "\n\n".join(found + [f"⚠️ {doubt}" for doubt in doubts])
+    found = [f"**Found in** `{as_line(fit.title.replace('`', ''))}`", "\n".join(rows), said]
+    return "\n\n".join(found + [f"⚠️ {_literal(doubt)}" for doubt in doubts])
+
+
+def _literal(text: str) -> str:
+    """As Markdown shows it letter by letter: it would run what names of strangers' files hold."""
+    return "".join(f"&#{ord(letter)};" if letter in MARKUP else letter for letter in as_line(text))
 
 
 def _scale(text: str) -> float:

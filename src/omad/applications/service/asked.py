@@ -24,7 +24,7 @@ HERE = {
     r",? or (on the command line )?--[a-z-]+[^,;:)]*": "",
     r"\bomad estimate a mask": "a mask",
     r"\bestimate\.html": "the page (format html)",
-    r"\blook at estimate\.png[^;]*; ": "",
+    r"\blook at estimate\.png[^;]{0,300}; ": "",
 }
 """Of patterns in what is said of the command line: what a request has in place of it, where it has anything."""
 T = TypeVar("T")

@@ -59,6 +59,10 @@ def patient(seconds: float) -> type[H11Protocol]:
     class Patient(H11Protocol):
         late: asyncio.TimerHandle | None = None
 
+        def connection_made(self, transport: asyncio.Transport) -> None:  # pyright: ignore
+            super().connection_made(transport)
+            self.late = self.loop.call_later(seconds + GRACE, self.transport.close)
+
         def data_received(self, data: bytes) -> None:
             super().data_received(data)
             coming = self.conn.their_state in (h11.IDLE, h11.SEND_BODY)

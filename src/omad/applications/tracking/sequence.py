@@ -34,6 +34,8 @@ from .tracker import TrackedEstimate, Tracker
 FRAMES = "frames.jsonl"
 SUMMARY = "summary.json"
 LAST = "last"
+FORMULA = tuple("=+-@")
+"""What spreadsheets take a cell for that begins so."""
 TRIED = 3
 """First frames that may be broken; where more are, it is the options that are wrong."""
 OF_A_TRACK = (FRAMES, "states.csv", "states.png", "track.html", "track.gif", "track.rrd")
@@ -191,7 +193,9 @@ class TrackedSequence:
             head = [f"{name}{of}" for name in names for of in ("", "_std", "_single")]
             writer.writerow(["frame", "time", "status", *head, "probability"])
             for frame, one in zip(self.files, self.tracked, strict=True):
-                row = [frame.path.name, f"{frame.time:.6f}", one.status]
+                name = frame.path.name
+                name = f"'{name}" if name[:1] in FORMULA else name
+                row = [name, f"{frame.time:.6f}", one.status]
                 for j in range(len(names)):
                     joint = one.estimate and one.estimate.joints[j]
                     row += [f"{joint.state:.6f}", f"{joint.state_std:.6f}"] if joint else ["", ""]

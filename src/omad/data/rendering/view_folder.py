@@ -140,10 +140,15 @@ def open_views(folder: str | Path, broken: Broken = "refuse", category: Category
     if category is not None and record.category != category.name:
         raise InputError(f"{path}: views of {record.category}, not of {category.name}")
     for name in record.objects:
-        if Path(name).name != name or "\0" in name:
+        if not _is_folder_name(name):
             raise InputError(f"{path / 'dataset.json'}: objects: {name!r} is no folder's name; {CURE}")
     made = {each.name: getattr(record, each.name) for each in fields(ViewFolder) if hasattr(record, each.name)}
     return ViewFolder(path, **made, broken=broken, joints=None if category is None else len(category.joints))
+
+
+def _is_folder_name(name: str) -> bool:
+    """Of one folder within another."""
+    return name not in ("", "..") and Path(name).name == name and "\0" not in name
 
 
 def render_to_folder(
@@ -164,7 +169,7 @@ def render_to_folder(
     names = [model.name for model in models]
     if not names or len(set(names)) < len(names):
         raise InputError(f"{path}: rendering needs object models, each with a name of its own; got {names}")
-    if any(Path(name).name != name for name in names):
+    if not all(map(_is_folder_name, names)):
         raise InputError(f"{path}: an object's name becomes a folder's name; rename one of {names}")
     scale, dataset = depth_scale_of(category), path / DATASET
     camera = _camera_record(STANDARD_CAMERA)
