@@ -265,9 +265,7 @@ def camera(sequence, monkeypatch) -> list[str]:
         def stop(self) -> None:
             said.append("stop")
 
-    module = SimpleNamespace(
-        pipeline=Pipeline, align=lambda stream: None, stream=SimpleNamespace(depth=1), format=SimpleNamespace(bgr8=2)
-    )
+    module = SimpleNamespace(pipeline=Pipeline, align=lambda stream: None, stream=SimpleNamespace(depth=1))
     monkeypatch.setitem(sys.modules, "pyrealsense2", module)
     return said
 
