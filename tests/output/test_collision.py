@@ -12,13 +12,14 @@ from scipy.optimize import linprog
 from scipy.spatial import ConvexHull
 
 from omad.data.procedural import generate
-from omad.geometry.convex.bodies import ConvexBody, convex_bodies, overlap
+from omad.geometry.convex.bodies import ConvexBody, convex_bodies, overlap, united
 from omad.geometry.convex.pieces import convex_pieces
 from omad.geometry.mesh import Mesh, merge_meshes
 from omad.objects.category_file import get_category
 from omad.objects.model import ObjectModel
 from omad.objects.urdf import write_urdf
 from omad.output.robots.collision import collision_bodies
+from omad.output.robots.robot import DENSITY, Solid
 
 
 def touch(one: np.ndarray, other: np.ndarray) -> bool:
@@ -156,3 +157,20 @@ def test_the_urdf_has_a_collision_a_body(tmp_path):
         assert len(files) == len(set(files)) == len(of_part)
         loaded = [trimesh.load(tmp_path / file, process=False) for file in files]
         assert all(mesh.is_convex for mesh in loaded)
+
+
+@pytest.mark.parametrize(("apart", "volume"), [(0.5, 1.5), (1.0, 2.0), (3.0, 2.0), (0.25, 1.25)])
+def test_what_two_solids_share_weighs_once(apart: float, volume: float):
+    cube = solid(trimesh.creation.box([1, 1, 1]))
+    both = merge_meshes([cube, cube.warped(lambda vertices: vertices + [apart, 0, 0])])
+    found = Solid.of(both)
+    assert found.mass == pytest.approx(volume * DENSITY)
+    np.testing.assert_allclose(found.centre, [apart / 2, 0, 0], atol=1e-9)
+    if apart < 2:
+        as_one = trimesh.creation.box([volume, 1, 1]).moment_inertia
+        np.testing.assert_allclose(found.inertia, as_one * DENSITY, rtol=1e-6, atol=1e-6)
+
+
+def test_what_is_not_closed_weighs_as_it_did():
+    open_box = solid(trimesh.creation.box([1, 1, 1]))
+    np.testing.assert_array_equal(united(replace(open_box, faces=open_box.faces[1:])).faces, open_box.faces[1:])

@@ -145,6 +145,14 @@ def test_ply_of_points_and_of_a_mesh(tmp_path: Path, encoding: str) -> None:
     assert read_cloud(tmp_path / "mesh.ply").shape == (8, 3)
 
 
+def test_textures_that_a_ply_names_are_not_looked_for(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    lines = trimesh.creation.box().export(file_type="ply", encoding="ascii")
+    named = lines.replace(b"format ascii 1.0\n", b"format ascii 1.0\ncomment TextureFile wood.png\n")
+    (tmp_path / "mesh.ply").write_bytes(named)
+    assert read_cloud(tmp_path / "mesh.ply").shape == (8, 3)
+    assert not caplog.records
+
+
 @pytest.mark.parametrize("delimiter", [" ", ",", "\t", ", "])
 @pytest.mark.parametrize("name", ["cloud.xyz", "cloud.txt"])
 def test_text_clouds_with_comments_and_colours(tmp_path: Path, name: str, delimiter: str) -> None:

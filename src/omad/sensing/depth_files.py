@@ -245,7 +245,9 @@ def called(found: np.ndarray | dict[str, np.ndarray], key: str, name: str | Path
 def _read_ply(path: Path) -> np.ndarray:
     import trimesh  # slow to import
 
-    vertices = getattr(trimesh.load(io.BytesIO(read_bytes(path)), file_type="ply", process=False), "vertices", None)
+    content = io.BytesIO(read_bytes(path))
+    found = trimesh.load(content, file_type="ply", process=False, skip_materials=True)  # no textures
+    vertices = getattr(found, "vertices", None)
     if vertices is None:
         raise InputError(f"{path}: holds no vertices; export a point cloud")
     return np.asarray(vertices)

@@ -127,7 +127,8 @@ def _load_mesh(file: Path) -> Mesh:
                 mesh = _parse_obj(lines, str(file))
         else:  # the content alone, so that no other file is opened which it names
             content = io.BytesIO(read_bytes(file))
-            solid: Any = trimesh.load(content, file_type=suffix[1:], force="mesh", process=False)
+            plain: dict[str, Any] = {"skip_materials": True} if suffix == ".ply" else {}  # its texture is elsewhere
+            solid: Any = trimesh.load(content, file_type=suffix[1:], force="mesh", process=False, **plain)
             if suffix == ".dae":  # the one format that tells its unit, as RViz and Gazebo take it
                 solid.convert_units("meters")
             mesh = _as_mesh(solid)

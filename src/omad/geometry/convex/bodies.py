@@ -9,7 +9,7 @@ import numpy as np
 
 from ..mesh import Mesh, convex_hull, triangle_normals
 from ..rigid import box
-from .pieces import convex_pieces
+from .pieces import convex_pieces, union
 
 
 @dataclass(frozen=True)
@@ -109,6 +109,13 @@ def convex_bodies(mesh: Mesh, flush: float) -> list[ConvexBody]:
         if not any(other.holds(body.vertices, flush) for other in kept):
             kept.append(body)
     return kept
+
+
+def united(mesh: Mesh) -> Mesh:
+    """The outer surface of connected solids that overlap, whose volume counts once; the mesh itself where these are not
+    closed."""
+    triangles = union(_solids(mesh))
+    return mesh if triangles is None else Mesh(triangles.reshape(-1, 3), np.arange(triangles.size // 3).reshape(-1, 3))
 
 
 def _solids(mesh: Mesh) -> list[np.ndarray]:

@@ -8,7 +8,7 @@ what it cut.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Self
 
@@ -39,10 +39,8 @@ AT_ONCE = 4_000_000
 def convex_pieces(triangles: np.ndarray) -> list[np.ndarray]:
     """Vertices (V, 3) of the pieces that a closed solid of triangles (F, 3, 3) is made of; of one that is not closed,
     of all of it."""
-    points, corners = np.unique(triangles.reshape(-1, 3).round(9), axis=0, return_inverse=True)
-    faces = corners.reshape(-1, 3).astype(np.uint64)
-    solid = manifold3d.Manifold(manifold3d.Mesh64(vert_properties=points, tri_verts=faces))
-    if solid.status() != manifold3d.Error.NoError or solid.volume() <= 0:
+    points, solid = _solid(triangles)
+    if solid is None:
         return [points]
     size = float(np.linalg.norm(np.ptp(points, axis=0)))
     whole = solid.volume()
@@ -55,7 +53,32 @@ def convex_pieces(triangles: np.ndarray) -> list[np.ndarray]:
             pieces += min(cuts, key=lambda cut: sum(each.lacking for each in cut))
         else:
             done.append(piece)
-    return [each.mesh()[0] for each in (*done, *pieces)]
+    return [_triangles(each.solid)[0] for each in (*done, *pieces)]
+
+
+def union(solids: Iterable[np.ndarray]) -> np.ndarray | None:
+    """Outer surface, triangles (F, 3, 3), of closed solids (F', 3, 3) each, which may overlap; None where any is not
+    closed."""
+    found = [solid for _, solid in map(_solid, solids)]
+    whole = [solid for solid in found if solid is not None]
+    if len(whole) < len(found):
+        return None
+    return _triangles(manifold3d.Manifold.batch_boolean(whole, manifold3d.OpType.Add))[1]
+
+
+def _solid(triangles: np.ndarray) -> tuple[np.ndarray, manifold3d.Manifold | None]:
+    """Vertices (V, 3) of triangles (F, 3, 3), and what these enclose, where they are closed and face outward."""
+    points, corners = np.unique(triangles.reshape(-1, 3).round(9), axis=0, return_inverse=True)
+    faces = corners.reshape(-1, 3).astype(np.uint64)
+    solid = manifold3d.Manifold(manifold3d.Mesh64(vert_properties=points, tri_verts=faces))
+    return points, solid if solid.status() == manifold3d.Error.NoError and solid.volume() > 0 else None
+
+
+def _triangles(solid: manifold3d.Manifold) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices (V, 3) and triangles (F, 3, 3)."""
+    mesh = solid.to_mesh64()
+    vertices = mesh.vert_properties[:, :3].copy()
+    return vertices, vertices[mesh.tri_verts.astype(np.int64)]
 
 
 @dataclass(frozen=True)
@@ -71,12 +94,6 @@ class _Piece:
     def of(cls, solid: manifold3d.Manifold) -> Self:
         return cls(solid, solid.volume(), solid.hull().volume() - solid.volume())
 
-    def mesh(self) -> tuple[np.ndarray, np.ndarray]:
-        """Vertices (V, 3) and triangles (F, 3, 3)."""
-        mesh = self.solid.to_mesh64()
-        vertices = mesh.vert_properties[:, :3].copy()
-        return vertices, vertices[mesh.tri_verts.astype(np.int64)]
-
     def cut(self, normal: np.ndarray, at: float, nothing: float) -> list[Self]:
         """What it comes apart into at the plane ``normal . x = at``, of at least the volume ``nothing``."""
         halves = self.solid.split_by_plane(tuple(normal), at)
@@ -85,7 +102,7 @@ class _Piece:
     def planes(self, size: float) -> Iterator[tuple[np.ndarray, float]]:
         """Where it may be cut, normal (3,) and how far along that: along its largest faces that others lie before;
         across the middle of its longest side where there are too many."""
-        vertices, triangles = self.mesh()
+        vertices, triangles = _triangles(self.solid)
         normals = triangle_normals(triangles)
         areas = np.linalg.norm(normals, axis=1)
         normals /= np.maximum(areas, 1e-300)[:, None]

@@ -9,6 +9,7 @@ import numpy as np
 import trimesh
 
 from omad.estimation.estimate import Estimate
+from omad.geometry.convex.bodies import united
 from omad.geometry.mesh import Mesh, closed, merge_meshes
 from omad.geometry.rigid import carry_each
 from omad.objects.model import ObjectModel
@@ -43,10 +44,12 @@ class Solid:
 
     @classmethod
     def of(cls, mesh: Mesh | None) -> Solid:
-        """Of what a closed mesh encloses; of a small box where there is none: simulators need some mass."""
+        """Of what closed solids enclose, once where they overlap; of a small box where there is none: simulators need
+        some mass."""
         solid = trimesh.creation.box(extents=[EMPTY] * 3)
         if mesh is not None:
-            solid = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+            surface = united(mesh)
+            solid = trimesh.Trimesh(surface.vertices, surface.faces, process=False)
         solid.density = DENSITY
         return cls(float(solid.mass), np.asarray(solid.center_mass), np.asarray(solid.moment_inertia))
 
