@@ -69,3 +69,46 @@ def test_who_is_not_answered_in_time_is_told_so_and_others_go_on():
 
     # those that were told so are not worked on; of five the first goes alone, the others wait and go together
     assert asyncio.run(drill()) == [1, 1, 4]
+
+
+def test_bodies_beyond_what_is_held_are_turned_away():
+    """Those that a worker has count for as long as it has them, although nobody waits any more."""
+
+    class Answers:
+        categories = ("laptop",)
+
+        def check(self, asked):
+            pass
+
+        def __call__(self, batch):
+            time.sleep(max(float(asked.depth) for asked in batch))
+            return [Reply.of(200, {}) for _ in batch]
+
+    class Request:
+        headers = {"content-type": FORM, "Content-Type": FORM}  # noqa: RUF012
+
+        def __init__(self, seconds: str) -> None:
+            self.body = form({"category": b"laptop", "depth": seconds.encode().ljust(5000), "intrinsics": b"1"})
+
+        async def stream(self):
+            for start in range(0, len(self.body), 1000):
+                yield self.body[start : start + 1000]
+                await asyncio.sleep(0)
+
+    async def drill():
+        answers = Answers()
+        batcher = Batcher(answers, workers=1, batch=8)
+        service = Service(answers, batcher, Bounds(8, body_bytes=8000, held_bytes=8000, seconds=0.5))
+        together = [asyncio.create_task(service.estimate(Request("0.0"))) for _ in range(2)]
+        assert 503 in [(await each).status for each in together]
+        late = asyncio.create_task(service.estimate(Request("1.5")))
+        await asyncio.sleep(0.2)
+        assert (await service.estimate(Request("0.0"))).status == 503
+        assert (await late).status == 504
+        assert (await service.estimate(Request("0.0"))).status == 503
+        await asyncio.sleep(1.5)
+        assert service.held == 0
+        assert (await service.estimate(Request("0.0"))).status == 200
+        batcher.close()
+
+    asyncio.run(drill())

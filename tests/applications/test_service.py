@@ -150,6 +150,8 @@ WRONG = {
     "checks": (fields(checks=b"none"), "checks 'none': give all or few"),
     "an object of no mask": (fields(mask_id=b"3"), "mask_id 3: tells one of a mask's objects; give mask"),
     "a list for a mask": (fields(mask=b'[{"size": [480, 640]}]'), "mask: holds no mask; give one COCO segmentation"),
+    "endless JSON": (fields(mask=b"[" + b"[]," * 1_400_000 + b"[]]"), "mask: the JSON has 4.2e+06, more than 4000000"),
+    "an endless text": (fields(category=b"x" * 1_100_000), "category: is a text of more than 1000000 bytes"),
     "no text": (fields(category=b"\xff\xfe"), "category"),
     "eight bits": (fields(depth=png(np.zeros((480, 640), np.uint8))), "uint8 of shape (480, 640) is no depth image"),
     "nothing seen": (fields(depth=png(np.zeros((480, 640), np.uint16))), "no pixel holds a measurement"),
@@ -225,6 +227,12 @@ def test_an_endless_field_keeps_nobody_waiting(service):
     answer = service.post(fields(box=b"look at estimate.png " * 40_000))
     assert (answer.status, time.monotonic() - began < 5) == (400, True)
     assert len(answer.body) < 5000
+
+
+def test_an_endless_field_that_is_sent_as_a_file_is_not_read(service):
+    sent = form(fields(box=b"12," * 1_000_000)).replace(b'name="box"', b'name="box"; filename=x')
+    reply = service.ask("POST", "/estimate", sent, {"Content-Type": FORM})
+    assert (reply.status, reply.record["error"][:24]) == (400, "box: the text has 3e+06,")
 
 
 def test_messages_name_fields_and_no_options(service):

@@ -29,6 +29,8 @@ class Limits:
     """A cloud written as text."""
     text_bytes: int = 32_000_000
     """A JSON, TOML, YAML, URDF or CSV file."""
+    mask_text_bytes: int = 4_000_000
+    """A mask as JSON that is sent, or lies in a table; one takes some thirty times as much memory."""
     camera_bytes: int = 1_000_000
     """A camera's file: intrinsics, lens, place."""
     data_bytes: int = 500_000_000

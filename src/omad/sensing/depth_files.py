@@ -132,6 +132,7 @@ def read_mask(path: str | Path, mask_id: int | None = None) -> np.ndarray:
 def parse_mask(stored: bytes, name: str, mask_id: int | None = None) -> np.ndarray:
     """What ``read_mask`` reads, of a file's bytes; ``name``: of it in messages. Raises InputError."""
     if stored.removeprefix(BOM_UTF8).lstrip()[:1] in (b"{", b"["):
+        check_limit("mask_text_bytes", len(stored), f"{name}: the JSON")
         return _checked_mask(parse_json(stored, name), name, mask_id)
     found = _colours_or_labels(lambda mode: parse_stored(stored, "mask", name, mode), mask_id)
     if stored.startswith(JPEG_MAGIC):

@@ -21,7 +21,7 @@ _FIELDS = {
     "depth": {**_FILE, "description": "16-bit PNG or TIFF, NPY or NPZ"},
     "intrinsics": {**_TEXT, "description": "fx,fy,cx,cy of the depth camera, or what its file holds"},
     "category": {**_TEXT, "default": "auto", "description": "one that is served; auto: the one that explains it best"},
-    "mask": {**_FILE, "description": "not zero on the object; without, the object is looked for"},
+    "mask": {**_FILE, "description": "not zero on the object, or COCO's JSON; without, the object is looked for"},
     "mask_id": {"type": "integer", "description": "the object's number in a mask that is a label image"},
     "box": {**_TEXT, "description": "x1,y1,x2,y2 in pixels around the object, half-open"},
     "segment": {**_TEXT, "enum": SEGMENTS},
@@ -33,10 +33,11 @@ _FIELDS = {
 _FORM = {"schema": {"type": "object", "required": ["depth", "intrinsics"], "properties": _FIELDS}}
 _SAYS = {
     400: "the one line that says what is wrong",
+    403: "a page of another site asks, or for a name that is not this machine's",
     408: "the body came too slowly",
     413: "the body is too large",
     500: "the work failed; the log says more",
-    503: "as many requests as are taken on are here already",
+    503: "as many requests, or bytes of them, as are taken on are here already",
     504: "no answer in time",
 }
 
@@ -70,7 +71,7 @@ def make_app(service: Service) -> FastAPI:
     async def metrics() -> Response:
         """Counts, for Prometheus."""
         batcher = service.batcher
-        counts = {"requests_inside": service.inside, "requests_waiting": batcher.waiting}
+        counts = {"requests_inside": service.inside, "requests_waiting": batcher.waiting, "bytes_held": service.held}
         text = service.metrics.text(**counts, batches_total=batcher.batches)
         return Response(text, media_type="text/plain; version=0.0.4")
 

@@ -8,6 +8,7 @@ from typing import Any, Self, TypeVar
 import numpy as np
 
 from omad.common.errors import InputError, shown
+from omad.common.limits import check_limit
 from omad.objects.category import AUTO
 from omad.sensing.camera_files import parse_camera
 from omad.sensing.depth_files import parse_depth, parse_mask, parse_own_mask
@@ -100,6 +101,11 @@ class Asked:
         return None if told else parse_own_mask(self.depth, "depth", self.mask_id)
 
     @property
+    def size(self) -> int:
+        """Bytes of its files."""
+        return len(self.depth) + len(self.intrinsics) + len(self.mask or b"")
+
+    @property
     def metres_per_number(self) -> float | None:
         """Of the image, where that can be told without its numbers."""
         integers = self.depth.startswith(PNG_MAGIC)
@@ -118,6 +124,7 @@ def in_fields(message: str) -> str:
 
 
 def _text(name: str, value: bytes) -> str:
+    check_limit("camera_bytes", len(value), f"{name}: the text")
     try:
         return value.decode("utf-8-sig")
     except UnicodeDecodeError as error:

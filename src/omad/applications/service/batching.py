@@ -33,6 +33,7 @@ class Batcher:
         """``answer`` is called in one of ``workers`` threads, with up to ``batch`` requests of one category."""
         self._answer, self._batch, self._idle = answer, batch, workers
         self._waiting: deque[_Waiting] = deque()
+        self._taken: set[_Waiting] = set()
         self._pool = ThreadPoolExecutor(workers, initializer=torch.set_num_threads, initargs=(1,))
         self.batches = 0
         """Handed to a worker so far."""
@@ -41,6 +42,11 @@ class Batcher:
     def waiting(self) -> int:
         """Requests that no worker has taken yet."""
         return len(self._waiting)
+
+    @property
+    def held(self) -> int:
+        """Bytes of what waits and of what a worker has, whether or not somebody still waits for it."""
+        return sum(each.asked.size for each in (*self._waiting, *self._taken))
 
     async def __call__(self, asked: Asked) -> Reply:
         """Who is cancelled while it waits is never worked on."""
@@ -65,6 +71,7 @@ class Batcher:
             share = 1 if category == AUTO else min(self._batch, -(-len(self._waiting) // self._idle))
             taken = [each for each in self._waiting if each.asked.category == category][:share]
             self._waiting = deque(each for each in self._waiting if each not in taken)
+            self._taken.update(taken)
             self._idle -= 1
             self.batches += 1
             work = loop.run_in_executor(self._pool, self._answer, [each.asked for each in taken])
@@ -72,6 +79,7 @@ class Batcher:
 
     def _done(self, taken: list[_Waiting], work: asyncio.Future[list[Reply]]) -> None:
         self._idle += 1
+        self._taken.difference_update(taken)
         if work.cancelled() or work.exception() is not None:
             if not work.cancelled():
                 print_exception(work.exception(), file=sys.stderr)

@@ -1,6 +1,6 @@
 """A request's form, read within bounds and in memory: nothing of it touches the disk."""
 
-from collections.abc import AsyncGenerator
+from collections.abc import AsyncGenerator, Callable
 
 from starlette.datastructures import UploadFile
 from starlette.formparsers import MultiPartException, MultiPartParser
@@ -18,6 +18,10 @@ class TooLarge(Exception):
     """A body beyond the service's limit."""
 
 
+class Full(Exception):
+    """More bytes of bodies than the service holds at a time."""
+
+
 class Gone(Exception):
     """Who asked left before the body was there."""
 
@@ -28,13 +32,20 @@ class _InMemory(MultiPartParser):
     # whatever a client names: some decoders take quadratic time, in which nobody else is answered, and some raise
     _charset = property(lambda _: "utf-8", lambda *_: None)  # type: ignore[assignment]
 
+    def on_part_data(self, data: bytes, start: int, end: int) -> None:
+        try:
+            super().on_part_data(data, start, end)
+        except MultiPartException as error:
+            what = f"is a text of more than {self.max_part_size} bytes; send a file as one, with curl as name=@file"
+            raise InputError(f"{shown(self._current_part.field_name)}: {what}") from error
+
     def on_end(self) -> None:
         self.ended = True
 
 
-async def read_form(request: Request, most: int) -> dict[str, bytes]:
-    """The fields of a multipart form of up to ``most`` bytes, files as they came. Raises InputError, TooLarge
-    and Gone."""
+async def read_form(request: Request, most: int, take: Callable[[int], None]) -> dict[str, bytes]:
+    """The fields of a multipart form of up to ``most`` bytes, files as they came; ``take`` is told of how many come.
+    Raises InputError, TooLarge and Gone, and what ``take`` does."""
     kind = request.headers.get("content-type", "")
     if kind.split(";")[0].strip().lower() != "multipart/form-data":
         raise InputError("the body is no form; send multipart/form-data with depth and intrinsics (curl -F)")
@@ -42,7 +53,7 @@ async def read_form(request: Request, most: int) -> dict[str, bytes]:
     if length.isdigit() and (len(length) > 15 or int(length) > most):
         raise TooLarge
     parser = _InMemory(
-        request.headers, _bounded(request, most), max_files=PARTS, max_fields=PARTS,
+        request.headers, _bounded(request, most, take), max_files=PARTS, max_fields=PARTS,
         max_part_size=limits().camera_bytes,
     )  # fmt: skip
     try:
@@ -61,10 +72,11 @@ async def read_form(request: Request, most: int) -> dict[str, bytes]:
     return told
 
 
-async def _bounded(request: Request, most: int) -> AsyncGenerator[bytes, None]:
+async def _bounded(request: Request, most: int, take: Callable[[int], None]) -> AsyncGenerator[bytes, None]:
     seen = 0
     async for chunk in request.stream():
         seen += len(chunk)
         if seen > most:
             raise TooLarge
+        take(len(chunk))
         yield chunk

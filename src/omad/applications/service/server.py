@@ -2,6 +2,7 @@
 
 import asyncio
 import logging
+import math
 import signal
 import sys
 from collections.abc import Callable, Iterator
@@ -54,13 +55,16 @@ class Own:
 
 
 def patient(seconds: float) -> type[H11Protocol]:
-    """Connections whose requests have to be there, head and body, so long after they began."""
+    """Connections whose requests have to be there, head and body, so long after they began, and whose answers have to
+    be taken so long after they were given."""
 
     class Patient(H11Protocol):
         late: asyncio.TimerHandle | None = None
+        unread: asyncio.TimerHandle | None = None
 
         def connection_made(self, transport: asyncio.Transport) -> None:  # pyright: ignore
             super().connection_made(transport)
+            transport.set_write_buffer_limits(0)  # writing pauses as soon as something is not taken
             self.late = self.loop.call_later(seconds + GRACE, self.transport.close)
 
         def data_received(self, data: bytes) -> None:
@@ -79,14 +83,28 @@ def patient(seconds: float) -> type[H11Protocol]:
             else:
                 self.transport.close()
 
+        def pause_writing(self) -> None:
+            super().pause_writing()
+            self.unread = self.loop.call_later(seconds, self.transport.abort)  # close() would wait for the reader
+
+        def resume_writing(self) -> None:
+            super().resume_writing()
+            self.taken()
+
         def connection_lost(self, exc: Exception | None) -> None:
             self.in_time()
+            self.taken()
             super().connection_lost(exc)
 
         def in_time(self) -> None:
             if self.late is not None:
                 self.late.cancel()
                 self.late = None
+
+        def taken(self) -> None:
+            if self.unread is not None:
+                self.unread.cancel()
+                self.unread = None
 
     return Patient
 
@@ -131,7 +149,7 @@ def run_server(app: Any, host: str, port: int, seconds: float, ready: Callable[[
         proxy_headers=False,
         limit_concurrency=CONNECTIONS,
         timeout_keep_alive=KEPT,
-        timeout_graceful_shutdown=max(1, round(seconds)),
+        timeout_graceful_shutdown=math.ceil(seconds + GRACE),
         h11_max_incomplete_event_size=HEAD_BYTES,
     )
     logging.getLogger("python_multipart").setLevel(logging.ERROR)

@@ -44,20 +44,24 @@ class Serve(CategoriesCommand):
     """Requests at a time; further ones are told to come again (503)."""
     body_bytes: int = 64_000_000
     """Of a request; larger ones are refused (413)."""
+    held_bytes: int = 500_000_000
+    """Of all requests that are here; further ones are told to come again (503)."""
     seconds: float = 30.0
     """For a request to be sent (408) and answered (504)."""
 
     def run(self) -> Answer:
         check_positive(batch=self.batch, queue=self.queue, body_bytes=self.body_bytes, seconds=self.seconds)
+        check_positive(held_bytes=self.held_bytes)
         workers = check_workers(self.workers)
         if missing := [name for name in NEEDED if importlib.util.find_spec(name) is None]:
             raise InputError(f"omad serve needs {missing[0]}; pip install 'omad[serve]'")
         port = free_port(self.host, self.port)
         url = f"http://{self.host}:{port}"
         answers = Answers([estimator for _, estimator in self.estimators()])
+        free_port(self.host, port)  # still: loading took seconds, in which another program may have come
         set_num_threads(1)  # its threads are the workers
         batcher = Batcher(answers, workers, self.batch)
-        service = Service(answers, batcher, Bounds(self.queue, self.body_bytes, self.seconds))
+        service = Service(answers, batcher, Bounds(self.queue, self.body_bytes, self.held_bytes, self.seconds))
         try:
             run_server(make_app(service), self.host, port, self.seconds, lambda: _greet(url))
         finally:
