@@ -60,6 +60,11 @@ if TYPE_CHECKING:
     from omad.sensing.observation import Observation
 
 
+def __dir__() -> list[str]:
+    """For who completes names: with those that are yet to be imported."""
+    return sorted({*globals(), *__all__})
+
+
 def __getattr__(name: str) -> Any:
     """Import on first use, so that ``import omad`` is quick and training needs only what it uses."""
     if name not in _HOMES:

@@ -263,8 +263,9 @@ def _check_head(file: Any, size: int, within_limits: bool = True) -> tuple[int, 
 def read_image(
     source: Path | bytes, name: str | Path, mode: str | None = None, cure: str = "export it again"
 ) -> np.ndarray:
-    """An image file, or its bytes, as it is stored, (H, W) or (H, W, channels); with ``mode``, palettes and alpha
-    become that mode. ``name``: of it in messages. Raises InputError for what is not readable as one."""
+    """An image file, or its bytes, as it is stored, (H, W) or (H, W, channels); with ``mode``, palettes, alpha
+    and colours for printers become that mode. ``name``: of it in messages. Raises InputError for what is
+    not readable as one."""
     from PIL import Image
 
     if Image.MAX_IMAGE_PIXELS is not None:  # where a user may read larger ones, Pillow is not to refuse them
@@ -281,4 +282,5 @@ def read_image(
         with image:
             check_limit("image_pixels", image.width * image.height, f"{name}: the image")
             check_limit("image_side", max(image.size), f"{name}: the image")
-            return np.asarray(image.convert(mode) if mode and image.mode in ("P", "RGBA", "LA") else image)
+            converted = mode and image.mode in ("P", "RGBA", "LA", "CMYK", "YCbCr")
+            return np.asarray(image.convert(mode) if converted else image)

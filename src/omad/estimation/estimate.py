@@ -207,6 +207,8 @@ class Estimate(PoseEstimate):
             return self
         began, fitted = time.perf_counter(), self.surface
         assert isinstance(fitted, FittedSurface)
+        if not fitted.step.any():  # no point of the object to fit to, as without labels
+            return self
         size, joints = len(self.covariance), len(self.joints)
         posed = self.surfaces.towards(self, fitted, shares.of_unknowns(shares.taken, size))
         shrinkage = shares.of_unknowns(shares.shrinkage, size)

@@ -112,4 +112,5 @@ class JointEstimate:
         values |= {f"interval_{level}": self.interval(level / 100) if known else None for level in INTERVALS}
         motion = values.pop("unit_motion")
         del values["tail"]
+        values |= {name: value.tolist() for name, value in values.items() if isinstance(value, np.ndarray)}
         return values | ({"pitch": 2 * math.pi * motion.slide / motion.turn} if motion.turns and motion.slide else {})

@@ -38,6 +38,7 @@ class Camera:
     @classmethod
     def from_K(cls, K: np.ndarray, width: int, height: int, distortion: Distortion | None = None) -> Self:
         """Of an intrinsic matrix (3, 3)."""
+        K = np.asarray(K)
         return cls(width, height, float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2]), distortion)
 
     @classmethod

@@ -7,6 +7,7 @@ from typing import Self
 import numpy as np
 import torch
 
+from omad.common.arrays import numbers
 from omad.geometry.joint_kinds import Motion
 from omad.geometry.kinematics import KinematicTree
 from omad.geometry.mesh import Mesh, closed, sample_triangles, triangle_normals
@@ -112,6 +113,7 @@ class ObjectModel:
 
     def placed(self, states: np.ndarray, T_camera_base: np.ndarray | None = None) -> ObjectPose:
         """Parts and joints in the camera (or base, if no pose is given) for joint states (J,)."""
+        states = numbers(states, len(self.axes), what="states", unknown=True)
         pose = np.eye(4) if T_camera_base is None else T_camera_base
         batch = [torch.as_tensor(np.asarray(a, dtype=np.float64))[None] for a in (self.axes, self.pivots, states, pose)]
         return ObjectPose.at(self.tree, *batch).rows()[0]

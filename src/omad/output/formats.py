@@ -98,6 +98,8 @@ def save_formats(
     """Write the formats named, or the one, into ``folder``: ``robot.urdf``, ``robot.xml`` (MJCF), ``robot.usda``,
     ``object.ply`` and parts, ``object.glb``, ``ros.json``, ``object.rrd``; in the camera frame, or in the world, z up,
     where the camera's pose (4, 4) in it is given. Raises InputError."""
+    if isinstance(estimate, Observation):
+        raise InputError("save_formats: was given the observation first; give the estimate, then the observation")
     names = [formats] if isinstance(formats, str) else formats
     check_formats(names, estimate.category)
     export = Export(estimate, observation, Frame.of(T_world_camera))

@@ -14,6 +14,7 @@ import matplotlib.colors
 import numpy as np
 from PIL import Image
 
+from omad.common.errors import InputError
 from omad.common.files import write_text
 from omad.estimation.estimate import Estimate
 from omad.geometry.mesh import convex_hull
@@ -21,7 +22,7 @@ from omad.objects.pose import ObjectPose
 from omad.sensing.observation import Observation
 
 from .frame_image import frame_image, jpeg_uri
-from .picture import camera_around, part_colours, window
+from .picture import camera_around, labels_of, part_colours, window
 
 MAX_POINTS = 4000
 """Points of the cloud on a page at most: it stays under 200 kB."""
@@ -57,6 +58,8 @@ def page_data(
     observation: Observation, estimate: Estimate, truth: ObjectPose | None = None, title: str = ""
 ) -> dict[str, Any]:
     """All that a page shows, as plain JSON values; what is not finite is null."""
+    if isinstance(observation, Estimate):
+        raise InputError("save_html: was given the estimate first; give the observation, then the estimate")
     category, model = estimate.category, estimate.object_model()
     # at random: every n-th would draw stripes
     drawn = np.sort(np.random.default_rng(0).permutation(len(observation.points))[:MAX_POINTS])
@@ -91,7 +94,7 @@ def page_data(
         "seconds": {name: _rounded(value, 4) for name, value in estimate.seconds.items()},
         "picture": _picture(observation) | {"colours": observation.color is not None},
         "cloud": _rounded(observation.points[drawn], 4),
-        "labels": estimate.part_labels[drawn].tolist(),
+        "labels": labels_of(estimate, observation)[drawn].tolist(),
         "points": len(observation.points),
         "parts": parts,
         "part_of_keypoint": part_of.tolist(),

@@ -18,6 +18,7 @@ from omad.common.errors import InputError
 from omad.common.files import write_atomic
 from omad.data.rendering.rasteriser import NOTHING, Rendering, rasterise, render
 from omad.estimation.estimate import Estimate, chance
+from omad.estimation.part_labels import OUTSIDE
 from omad.geometry.camera import NEAREST, STANDARD_CAMERA, Camera
 from omad.geometry.mesh import merge_meshes
 from omad.geometry.rigid import box, carry, carry_each
@@ -92,7 +93,7 @@ def figure(observation: Observation, estimate: Estimate, truth: ObjectPose | Non
 
     if observation.color is not None:
         panels[1].imshow(observation.color)
-    draw_points(panels[1], camera, observation.points, part_colours(estimate.part_labels))
+    draw_points(panels[1], camera, observation.points, part_colours(labels_of(estimate, observation)))
     draw_keypoints(panels[1], camera, estimate)
     category = estimate.category
     _draw_axes(panels[1], camera, axis_segments(category, estimate.placed, estimate.keypoints))
@@ -100,7 +101,7 @@ def figure(observation: Observation, estimate: Estimate, truth: ObjectPose | Non
         _draw_axes(panels[1], camera, axis_segments(category, truth, estimate.keypoints), "black", ":")
     panels[1].set_title("parts, keypoints, joint axes" + (" (true: dotted)" if truth is not None else ""))
 
-    _draw_from_side(panels[2], observation.points, estimate)
+    _draw_from_side(panels[2], observation, estimate)
     panels[2].set_title("cloud and estimated object from the side")
 
     _draw_surface(panels[3], camera, observation, estimate)
@@ -183,6 +184,12 @@ def _for_picture(observation: Observation) -> Observation:
     return replace(observation, **thinned, camera=camera.zoomed(1 / every, size=size))
 
 
+def labels_of(estimate: Estimate, observation: Observation) -> np.ndarray:
+    """(N,) part of each of the observation's points; none where the estimate is of other points, or forgot them."""
+    labels, count = estimate.part_labels, len(observation.points)
+    return labels if len(labels) == count else np.full(count, OUTSIDE)
+
+
 def how_sure(estimate: Estimate) -> str:
     """The probability of an answer as a person reads it; nothing where it is not known."""
     if estimate.probability is None:
@@ -246,12 +253,13 @@ def _draw_surface(panel: Axes, camera: Camera, observation: Observation, estimat
     panel.legend(handles=names, loc="lower left", fontsize=7, frameon=False)
 
 
-def _draw_from_side(panel: Axes, points: np.ndarray, estimate: Estimate) -> None:
+def _draw_from_side(panel: Axes, observation: Observation, estimate: Estimate) -> None:
     """Cloud and model outlines along the object's own x axis, orthographically: depth errors show here."""
+    points, labels = observation.points, labels_of(estimate, observation)
     step = -(-len(points) // MAX_DRAWN)
     T_base_camera = np.linalg.inv(estimate.T_camera_base)
     _, y, z = carry(T_base_camera, points[::step]).T
-    panel.scatter(z, y, s=1.5, c=part_colours(estimate.part_labels[::step]), linewidths=0)
+    panel.scatter(z, y, s=1.5, c=part_colours(labels[::step]), linewidths=0)
     for part, mesh in enumerate(estimate.surface.posed()):
         loops = mesh.carried(T_base_camera).triangles[:, [0, 1, 2, 0]]
         panel.plot(*loops[..., [2, 1]].transpose(2, 1, 0), color=0.6 * part_colours(part), linewidth=0.6)

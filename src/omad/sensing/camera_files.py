@@ -36,7 +36,7 @@ REALSENSE = ("none", "modified_brown_conrady", "inverse_brown_conrady", "ftheta"
 """librealsense's models by number."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class CameraFile:
     """What a camera's file says."""
 

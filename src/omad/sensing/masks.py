@@ -54,6 +54,8 @@ def as_mask(values: Any, mask_id: int | None = None) -> np.ndarray:
     if are_annotations(values):
         values = {"annotations": values}
     if isinstance(values, Mapping):
+        if mask_id is not None and "annotations" not in values and values.get("id", mask_id) != mask_id:
+            raise InputError(f"mask: the annotation has the id {values['id']}, not {mask_id}")
         return _decoded(_annotation(values, mask_id), None if "annotations" in values else mask_id)
     try:
         stored = as_numpy(values)

@@ -16,7 +16,7 @@ from omad.geometry.transforms import MIRROR_X
 from .camera_files import as_K
 from .depth_files import one_channel
 from .foreign.cameras import camera_from
-from .foreign.images import depth_from, image_from, points_from
+from .foreign.images import depth_from, eight_bits, image_from, points_from
 from .masks import as_mask, odd_mask
 
 MIN_POINTS = 50
@@ -216,7 +216,7 @@ class Observation:
     @property
     def depth_range(self) -> tuple[float, float]:
         """Metres along z between which nearly all points lie, for pictures."""
-        near, far = np.percentile(self.points[:, 2], [1, 99])
+        near, far = np.percentile(self.points[:, 2], [1, 99]) if len(self.points) else (np.nan, np.nan)
         return float(near), float(far)
 
     @classmethod
@@ -311,7 +311,7 @@ def _check_camera(K: Any, shape: tuple[int, ...]) -> Camera:
         if (K.height, K.width) != (height, width):
             raise InputError(f"depth: is {width}x{height} but its camera {K.width}x{K.height}; use the image's own")
         as_K(numbers([K.fx, K.fy, K.cx, K.cy], 4, what="intrinsics"), "intrinsics")
-        return K
+        return replace(K, width=width, height=height)  # whole numbers
     if K is None:
         raise InputError("intrinsics: none given; pass K as a 3x3 matrix or (fx, fy, cx, cy) in pixels")
     if (told := camera_from(K)) is not None:
@@ -338,9 +338,7 @@ def _check_color(color: Any, shape: tuple[int, ...]) -> np.ndarray | None:
         image = np.repeat(image.reshape(*shape, 1), 3, 2)
     if image.ndim != 3 or image.shape[2] not in (3, 4):
         raise InputError(f"color: expected shape (H, W, 3), got {image.shape}")
-    if image.dtype.kind == "f":
-        image = 255 * np.clip(np.nan_to_num(image), 0, 1)
-    return np.clip(image[..., :3], 0, 255).astype(np.uint8)
+    return eight_bits(image[..., :3])
 
 
 def region_of(shape: tuple[int, ...], mask: np.ndarray | None, box: Sequence[float] | None) -> np.ndarray:

@@ -44,7 +44,7 @@ class Frame:
     """Raises InputError where it is bad."""
 
     @classmethod
-    def of_depth(cls, name: str, depth_m: Any, K: Any, mask: Any = None, **options: Any) -> Self:
+    def of_depth(cls, name: str, depth_m: Any, K: Any = None, mask: Any = None, **options: Any) -> Self:
         """A depth image, as ``Observation.from_depth`` takes it. Arrays are copied: a camera may put its next image
         there before this one is read."""
         given = {"depth_m": depth_m, "K": K, "mask": mask, **options}

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from omad.common.arrays import as_doubles
+from omad.common.errors import InputError
 from omad.estimation.categories.late import AnyEstimator, LateEstimator
 from omad.estimation.categories.proposals import Proposals
 from omad.estimation.checks import FACTORS, USUAL_SIZE, WrongScale, wrong_scale
@@ -41,7 +42,7 @@ CLEAR = 8.0
 """What is so many times as high as the lowest thing that can be told from a plane is seen well enough."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Detection:
     """One thing that stands before table, floor and walls."""
 
@@ -232,6 +233,8 @@ def detect(
     ``Observation.from_depth`` takes it with ``K``: what stands on a table or floor, each with its category of
     ``categories`` (one or several; default: all with shipped weights), its estimate and how sure that is. What is of
     none of them is among the answers, too. ``box``: as of ``Detector``. Raises InputError."""
+    if isinstance(seen, Observation) and K is not None:
+        raise InputError("K: an Observation has its camera; leave K out")
     frame = seen if isinstance(seen, Observation) else Observation.from_depth(seen, K)
     names = (categories,) if isinstance(categories, str) else tuple(categories)
     return _detector(names or tuple(shipped_categories()))(frame, box)

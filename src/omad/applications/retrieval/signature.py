@@ -54,7 +54,7 @@ class Signature:
         return self if probability is None else replace(self, mirrored_probability=1 - probability)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Space:
     """Where signatures of one prior are compared: Euclidean distance between ``factor @ beta``."""
 

@@ -69,6 +69,10 @@ class TrackerConfig:
     same_place: float = 0.25
     """... and by no more than this RMS keypoint distance (category units)."""
 
+    def __post_init__(self) -> None:
+        if not (0 < self.gate < 1 and 0 <= self.jitter <= 1 and self.motion.decay > 0):
+            raise InputError("TrackerConfig: gate and jitter are shares of one, gate above 0, and motion.decay above 0")
+
 
 @dataclass(frozen=True)
 class TrackedEstimate:

@@ -4,18 +4,21 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Self, TypeAlias, overload
+from typing import Any, Self, TypeAlias, overload
+
+import numpy as np
 
 from omad.common.runtime import undrawn
 from omad.model.checkpoint import category_of, find_weights, load_part, shipped_categories
 from omad.model.omadnet import OmadNet
 from omad.model.prior import OmadPrior
+from omad.model.surfaces.surfaces import Surfaces
 from omad.objects.category import Category
 from omad.sensing.observation import Observation
 
 from ..estimate import Estimate
 from ..estimator import Estimator, EstimatorConfig
-from ..known import NOTHING_KNOWN, Known
+from ..known import NOTHING_KNOWN, Known, Near
 
 
 @dataclass(frozen=True)
@@ -53,15 +56,30 @@ class LateEstimator:
         """Its network."""
         return self.loaded.net
 
+    @property
+    def surfaces(self) -> Surfaces | None:
+        """As ``Estimator`` has them."""
+        return self.loaded.surfaces
+
+    def near(self, observation: Observation, near: Near, known: Known = NOTHING_KNOWN) -> Estimate:
+        """As ``Estimator`` does."""
+        return self.loaded.near(observation, near, known)
+
+    def moved(self, estimate: Estimate, state: Near, covariance: np.ndarray) -> Estimate:
+        """As ``Estimator`` does."""
+        return self.loaded.moved(estimate, state, covariance)
+
     @overload
     def __call__(self, observation: Observation, known: Known = NOTHING_KNOWN) -> Estimate: ...
     @overload
-    def __call__(self, observation: Sequence[Observation], known: Known = NOTHING_KNOWN) -> list[Estimate]: ...
     def __call__(
-        self, observation: Observation | Sequence[Observation], known: Known = NOTHING_KNOWN
+        self, observation: Sequence[Observation], known: Known = NOTHING_KNOWN, T_world_camera: Any = None
+    ) -> list[Estimate]: ...
+    def __call__(
+        self, observation: Observation | Sequence[Observation], known: Known = NOTHING_KNOWN, T_world_camera: Any = None
     ) -> Estimate | list[Estimate]:
         """As ``Estimator`` does."""
-        return self.loaded(observation, known)
+        return self.loaded(observation, known, T_world_camera)  # pyright: ignore[reportArgumentType, reportCallIssue]
 
     def first_answers(self, observations: Sequence[Observation], known: Known = NOTHING_KNOWN) -> list[Estimate]:
         """As ``Estimator`` has them."""

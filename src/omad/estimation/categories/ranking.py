@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from scipy.special import softmax
 
+from omad.common.errors import InputError
 from omad.model.proposals.network import Proposer, shipped_proposer
 from omad.sensing.observation import Observation
 
@@ -102,6 +103,8 @@ def rank(
     ``always``; without those whose answers are no numbers, as of a cloud many times larger than the category.
     ``propose``: the look; default: the shipped one."""
     by_name = {estimator.category.name: estimator for estimator in estimators}
+    if isinstance(always, str) or not {*always} <= by_name.keys():
+        raise InputError(f"always: is {always!r}; give a list of the estimators' categories: {', '.join(by_name)}")
     [look] = (propose or shipped_proposer())([known.as_level(observation)])
     proposals = Proposals.of(look, list(by_name))
     names = dict.fromkeys([*always, *proposals.worth_fitting(list(by_name))])

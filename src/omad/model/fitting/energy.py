@@ -8,18 +8,21 @@ Category units and radians; the unknowns' order is that of ``state``.
 """
 
 from dataclasses import dataclass
-from typing import Literal, Self
+from typing import Literal, Self, get_args
 
 import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
+from omad.common.errors import InputError
 from omad.geometry.kinematics import part_transforms
 from omad.geometry.least_squares import Linearisation, TerminationConfig, TrustRegionConfig
 from omad.geometry.transforms import skew
 
 from ..prior import OmadPrior
 from .state import State, Targets
+
+Backend = Literal["auto", "torch", "kernel"]
 
 
 @dataclass(frozen=True)
@@ -40,8 +43,14 @@ class RefinementConfig:
     """See ``least_squares.TerminationConfig``."""
     trust_region: TrustRegionConfig = TrustRegionConfig()
     """How far steps may go."""
-    backend: Literal["auto", "torch", "kernel"] = "auto"
+    backend: Backend = "auto"
     """'auto': the fused kernel (always float64) on the CPU, torch (in the dtype of the targets) elsewhere."""
+
+    def __post_init__(self) -> None:
+        if self.backend not in get_args(Backend):
+            raise InputError(f"RefinementConfig: backend is {self.backend!r}; give {' or '.join(get_args(Backend))}")
+        if not (self.huber is None or self.huber > 0):
+            raise InputError(f"RefinementConfig: huber is {self.huber}; give a number above 0, or None")
 
     @property
     def termination(self) -> TerminationConfig:

@@ -53,7 +53,7 @@ class Targets:
     """(B, M) 1 / sigma^2 of each; 0 leaves one out, whatever its coordinates."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Refined:
     """What became of B observations."""
 

@@ -31,7 +31,7 @@ class Agreement:
     """The object was seen where there is no surface."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Overlay:
     """The picture that an ``Agreement`` is taken of."""
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from omad.common.errors import InputError
-from omad.common.incoming import readable
+from omad.common.incoming import as_path, readable
 
 from ..camera_files import CameraFile
 from .cameras import camera_from
@@ -43,7 +43,7 @@ class Topics:
     """Image, not zero where the object is."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class RecordedFrame:
     """One depth image of a recording."""
 
@@ -70,10 +70,11 @@ def is_bag(path: Path) -> bool:
     return path.suffix.lower() in SUFFIXES
 
 
-def read_bag(path: Path, topics: Topics, with_cameras: bool = True) -> Iterator[RecordedFrame]:
+def read_bag(path: str | Path, topics: Topics = Topics(), with_cameras: bool = True) -> Iterator[RecordedFrame]:
     """Depth images in the order of the recording, each with its camera, and with the colours and the mask that were
     taken at the same moment by the stamps in their headers; not ``with_cameras``, what is recorded of these is not
     asked for. Raises InputError for a recording that cannot be read, and where the topics are not there."""
+    path = as_path(path, "a recording")
     try:
         highlevel, typesys = import_module("rosbags.highlevel"), import_module("rosbags.typesys")
     except ImportError as error:

@@ -71,6 +71,16 @@ def image_from(value: Any) -> Any:
     return value
 
 
+def eight_bits(image: np.ndarray) -> np.ndarray:
+    """Colours as uint8: floats up to 1 (resampling overshoots a little) or up to 255, and integers of 8 or 16 bits."""
+    if image.dtype.kind == "f":
+        image = np.nan_to_num(image)
+        image = image * (255 if image.max(initial=0) <= 2 else 1)
+    elif image.dtype == np.uint16 and image.max(initial=0) > 255:
+        image = image >> 8
+    return np.clip(image, 0, 255).astype(np.uint8)
+
+
 def points_from(value: Any) -> Any:
     """(N, 3) of a cloud object, in its own unit; anything else as it is. Raises InputError for a cloud that is none."""
     value = _legacy(value)

@@ -25,7 +25,7 @@ MAPPED = 64
 """Parts that are kept mapped."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Portion:
     """Entries on their way into a catalogue."""
 
