@@ -147,29 +147,28 @@ def test_a_folder_that_others_may_write_is_not_trusted(folder):
 
 FIRST = """
 import numpy as np, omad
-from omad.common.compiled import COMPILED
+from omad.common import compiled
+asked, load = [], compiled._KeptCode.load_overload
+compiled._KeptCode.load_overload = lambda self, *types: asked.append(types) or load(self, *types)
 depth = np.ones((60, 60), np.float32) + np.linspace(0, 0.4, 60, dtype=np.float32)[:, None]
 K = 60, 60, 29.5, 29.5
 mask = np.pad(np.ones((50, 50), bool), 5)
 estimator = omad.Estimator.from_pretrained("laptop")
-before = len(COMPILED.names)
+before = len(asked)
 view = omad.Observation.from_depth(depth, K, mask)
 estimator(view), estimator([view] * 3)
 for array in (depth, mask, view.points):  # as other processes share them
     array.setflags(write=False)
 estimator(omad.Observation.from_depth(depth, K, mask)).part_labels
 estimator(omad.Observation(points=view.points)).part_labels
-print(before, len(COMPILED.names))
+print(before, len(asked), len(compiled.COMPILED.names))
 """
 
 
 @pytest.mark.slow
-def test_no_answer_waits_for_the_compiler(tmp_path):
-    """All that the way to an answer needs is compiled when the estimator is made."""
-    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
-    command = [sys.executable, "-c", FIRST]
-    cold, warm = (subprocess.run(command, env=environment, capture_output=True, text=True) for _ in range(2))
-    assert TOLD in cold.stderr
-    before, after = map(int, cold.stdout.split())
-    assert before == after > 0
-    assert (warm.stdout.split(), warm.stderr) == (["0", "0"], "")
+def test_no_answer_waits_for_the_compiler():
+    """All that the way to an answer needs is compiled, or loaded, when the estimator is made."""
+    _, warm = (subprocess.run([sys.executable, "-c", FIRST], capture_output=True, text=True) for _ in range(2))
+    before, after, compiled = map(int, warm.stdout.split())
+    assert before == after > 10
+    assert (compiled, warm.stderr) == (0, "")

@@ -69,5 +69,7 @@ def test_surfaces_follow_what_is_seen_where_that_is_nearer(monkeypatch):
     monkeypatch.setattr(surface_shares, "FEWEST", 9)
     assert follows("scissors", 9)
     assert not follows("laptop", 12)
-    monkeypatch.setattr(surface_shares, "FEWEST", 10)
-    assert not follows("scissors", 9)
+    monkeypatch.setattr(surface_shares, "_surely", lambda gains: gains[0] * 0 + 1)
+    assert not follows("scissors", 2)  # too few to say
+    monkeypatch.setattr(surface_shares, "FEWEST", 2)
+    assert follows("scissors", 2)

@@ -9,6 +9,7 @@ from pathlib import Path
 import matplotlib.colors
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.text import Text
@@ -140,6 +141,7 @@ def blank_panels(
     fig = Picture(figsize=size, facecolor="white")
     panels = fig.subplots(rows, columns, squeeze=False, height_ratios=heights)
     for panel in panels.flat:
+        panel.set(xticks=[], yticks=[])  # which would be made, though nobody sees them
         panel.set_axis_off()
     return fig, panels
 
@@ -262,7 +264,8 @@ def _draw_from_side(panel: Axes, observation: Observation, estimate: Estimate) -
     panel.scatter(z, y, s=1.5, c=part_colours(labels[::step]), linewidths=0)
     for part, mesh in enumerate(estimate.surface.posed()):
         loops = mesh.carried(T_base_camera).triangles[:, [0, 1, 2, 0]]
-        panel.plot(*loops[..., [2, 1]].transpose(2, 1, 0), color=0.6 * part_colours(part), linewidth=0.6)
+        panel.add_collection(LineCollection(loops[..., [2, 1]], colors=[0.6 * part_colours(part)], linewidths=0.6))
+    panel.autoscale_view()
     panel.set_aspect("equal")
 
 
