@@ -211,6 +211,8 @@ def test_what_an_observation_shows_is_found_as_what_its_depth_image_shows() -> N
     assert [found.probabilities for found in one] == [found.probabilities for found in same]
     with pytest.raises(omad.InputError):
         omad.detect(drawn.depth)
+    with pytest.raises(omad.InputError, match="K: an Observation has its camera"):
+        omad.detect(frame, drawn.camera, "laptop")
 
 
 @pytest.mark.parametrize("index", [2, 3])

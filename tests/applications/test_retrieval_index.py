@@ -341,3 +341,15 @@ def test_information_takes_the_entries_doubt_into_account_and_keeps_it(tmp_path)
     hit = again.search(query, 1, by_information=True)[0]
     assert hit.entry.source == "file 30"
     assert hit.distance == pytest.approx(0.1 * np.sqrt(SIZE) / np.sqrt(0.6 + 0.4), rel=1e-4)
+
+
+def test_what_are_no_signatures_or_entries_is_refused_with_what_to_give():
+    index, betas = filled()
+    own = signatures(betas[:1])
+    for ask in (lambda: index.add(["x"], [Entry("x")]), lambda: index.search("x"), lambda: index.search(betas[0])):
+        with pytest.raises(InputError, match=r"signature: is .*; give a Signature: .*estimate_signature makes it"):
+            ask()
+    for ask in (lambda: index.add(own, ["x"]), lambda: index.add_betas(betas[:1], ["x"])):
+        with pytest.raises(InputError, match=r"entry: is str; give .*Entry\(name\)"):
+            ask()
+    assert len(index) == len(index.betas) == len(betas)

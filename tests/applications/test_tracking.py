@@ -348,3 +348,11 @@ def test_tables_that_say_nothing_are_refused(folder, name, content, said, capsys
     Path("table.csv").write_text(content)
     assert run(["track", str(folder), f"--{name}", "table.csv", *GIVEN]) == 2
     assert said in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "settings", [{"gate": 0.0}, {"gate": 1.0}, {"jitter": -0.1}, {"jitter": 1.1}, {"motion": MotionConfig(decay=0.0)}]
+)
+def test_settings_that_no_tracker_can_have_are_refused(settings):
+    with pytest.raises(InputError, match="TrackerConfig: gate and jitter are shares"):
+        TrackerConfig(**settings)

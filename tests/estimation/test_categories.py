@@ -124,6 +124,17 @@ def test_a_late_estimator_answers_as_the_estimator_does():
     assert one([seen, seen])[1].joint_states == pytest.approx(laptop()(seen).joint_states, abs=1e-5)
 
 
+def test_a_late_estimator_tracks_and_takes_several_views():
+    one, seen, poses = LateEstimator.of("laptop"), view("laptop"), [np.eye(4)] * 2
+    found, expected = one([seen, seen], T_world_camera=poses), laptop()([seen, seen], T_world_camera=poses)
+    assert np.array_equal(found[1].keypoints, expected[1].keypoints)
+    trackers = omad.Tracker(one), omad.Tracker(laptop())
+    for time, frame in enumerate((seen, seen, None)):
+        late_one, own = (tracker(frame, 0.1 * time).estimate for tracker in trackers)
+        assert np.array_equal(late_one.keypoints, own.keypoints)
+    assert np.array_equal(late_one.to_surface().keypoints, own.keypoints)  # nothing was seen to go to
+
+
 TWINS = (
     {"drawer", "drawer_1", "drawer_2", "drawer_4", "drawer_5"},
     {"cabinet_one_door", "cabinet_two_doors", "refrigerator", "refrigerator_two_doors"},
@@ -153,6 +164,12 @@ def test_a_chair_is_none_of_them_and_objects_are_not():
 def test_those_asked_for_are_always_fitted():
     ranking = rank(view("laptop"), estimators(), always=["scissors"])
     assert "scissors" in [one.estimate.category.name for one in ranking.candidates]
+
+
+@pytest.mark.parametrize("always", ["laptop", ["lapdog"], [""]])
+def test_what_is_to_be_fitted_always_are_names_of_the_estimators(always):
+    with pytest.raises(omad.InputError, match=r"always: is .*; give a list of the estimators' categories: laptop"):
+        rank(view("laptop"), [laptop()], always=always)
 
 
 def test_a_category_without_an_answer_is_not_ranked():

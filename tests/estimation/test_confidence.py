@@ -71,6 +71,15 @@ def test_without_confidence_answers_are_the_least_squares_own(estimate: Estimate
     assert record["initial"]["joints"][0]["interval_90"] is None
 
 
+def test_a_joint_is_json_and_levels_may_be_tensors(estimate: Estimate) -> None:
+    [joint] = estimate.joints
+    told = json.loads(json.dumps(joint.to_dict()))
+    assert told["axis"] == joint.axis.tolist()
+    assert told["interval_90"] == list(joint.interval(0.9))
+    for level in (np.float64(0.9), np.array(0.9), torch.tensor(0.9, dtype=torch.float64, requires_grad=True)):
+        assert joint.interval(level) == joint.interval(0.9)
+
+
 @pytest.mark.parametrize("level", [0.0, 1.0, -0.5, 90.0, float("nan"), "a"])
 def test_an_interval_is_of_a_probability(estimate: Estimate, level: float) -> None:
     with pytest.raises(InputError, match=r"level: .* give 0\.9"):

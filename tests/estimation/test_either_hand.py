@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 from scipy.special import expit
 
 import omad
@@ -133,7 +134,9 @@ def test_what_is_seen_in_a_mirror_gets_the_mirrored_answer(estimator, views):
 def test_a_hand_that_is_known_is_taken(estimator, views):
     seen = views[0].observation()
     assert [estimator(seen, Known(mirrored_probability=p)).of_other_hand for p in (0.0, 1.0)] == [False, True]
-    for wrong in (2.0, np.nan):
+    tensor = torch.tensor(1.0, requires_grad=True)
+    assert estimator(seen, Known(mirrored_probability=tensor)).of_other_hand  # type: ignore[arg-type]
+    for wrong in (2.0, np.nan, torch.tensor(2.0), "1"):
         with pytest.raises(InputError, match=r"mirrored_probability: .* is no probability; give 0 to 1"):
             estimator(seen, Known(mirrored_probability=wrong))
 

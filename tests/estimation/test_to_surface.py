@@ -89,3 +89,9 @@ def test_without_surfaces_or_shares_there_is_no_way(estimate):
     own = replace(bare, category=replace(DISHWASHER, name="pedal_bin"))
     with pytest.raises(InputError, match=r"train surface --category SPEC --weights W --prior P --source S.*pedal_bin"):
         own.to_surface()
+
+
+def test_without_points_of_the_object_nothing_changes(estimate):
+    bare = sharing(estimate, 0.5, 0.5).without_labels()
+    assert bare.to_surface() is bare
+    assert "surface" not in bare.to_surface().seconds

@@ -28,6 +28,10 @@ def test_what_is_projected_is_found_again(lens):
     assert np.allclose(camera.backproject(camera.project(points), points[:, 2]), points, atol=1e-8)
 
 
+def test_an_intrinsic_matrix_may_be_a_list():
+    assert Camera.from_K(STANDARD_CAMERA.K.tolist(), 640, 480) == STANDARD_CAMERA  # type: ignore[arg-type]
+
+
 def test_a_zoomed_camera_sees_the_same_things_cut_and_scaled():
     points = random_points()
     zoomed = STANDARD_CAMERA.zoomed(2.5, 100.0, 50.0, (300, 200))

@@ -382,3 +382,12 @@ def test_adam_recipe_ends_no_lower(category: Category) -> None:
 def _first(s: Scene) -> tuple[Targets, State]:
     one = select(s, slice(0, 1))
     return one.targets, one.start
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"), [({"backend": "cuda"}, "auto or torch or kernel"), ({"huber": 0.0}, "above 0, or None"),
+                           ({"huber": float("nan")}, "above 0, or None")]
+)  # fmt: skip
+def test_settings_that_are_none_are_refused(settings, said):
+    with pytest.raises(InputError, match=f"RefinementConfig: {next(iter(settings))} is .*; give .*{said}"):
+        RefinementConfig(**settings)

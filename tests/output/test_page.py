@@ -14,10 +14,13 @@ import numpy as np
 import pytest
 import torch
 
+import omad
 from helpers.categories import CATEGORIES
 from helpers.command_line import LAPTOP, K, answer, save_png
+from omad.common.errors import InputError
 from omad.data.procedural import generate
 from omad.data.rendering.standard_views import standard_view
+from omad.estimation.checks import doubts
 from omad.estimation.estimate import Estimate
 from omad.estimation.estimator import Estimator
 from omad.estimation.part_labels import LabelledPoints
@@ -26,7 +29,8 @@ from omad.geometry.joint_kinds import Motion
 from omad.geometry.kinematics import KinematicTree, deform, part_transforms
 from omad.objects.category_file import get_category
 from omad.objects.pose import ObjectPose
-from omad.output.page import MAX_POINTS, page_text
+from omad.output.formats import save_formats
+from omad.output.page import MAX_POINTS, page_text, save_html
 from omad.output.picture import PART_COLOURS, part_colours
 from omad.sensing.observation import Observation
 
@@ -114,6 +118,32 @@ def test_a_bare_cloud_has_a_page_without_an_image():
     assert data["picture"]["source"] is None
     assert data["title"] == "laptop"
     assert [j["true_state"] for j in data["joints"]] == [None]
+
+
+@pytest.mark.parametrize("of", ["without labels", "of other points"])
+def test_points_that_nobody_labelled_are_grey(of, tmp_path):
+    observation, estimate, _ = seen("laptop")
+    if of == "without labels":
+        estimate = estimate.without_labels()
+    else:
+        observation = observation.part(np.arange(len(observation.points)) % 2 == 0)
+    save_html(observation, estimate, tmp_path / "page.html")
+    data = data_of((tmp_path / "page.html").read_text())
+    assert len(data["labels"]) == len(data["cloud"])
+    assert set(data["labels"]) == {-1}
+    assert len(omad.show(observation, estimate).axes) >= 4
+
+
+def test_arguments_in_the_wrong_order_are_named(tmp_path):
+    observation, estimate, _ = seen("laptop")
+    for ask in (
+        lambda: save_html(estimate, observation, tmp_path / "page.html"),
+        lambda: save_formats(observation, estimate, tmp_path, "ply"),
+        lambda: doubts(estimate, observation),
+    ):
+        with pytest.raises(InputError, match="was given the"):
+            ask()
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.slow

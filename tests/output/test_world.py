@@ -14,7 +14,9 @@ from helpers.installed import installed
 from omad.cli.main import run
 from omad.geometry.rigid import carry, rigid
 from omad.output.formats import FORMATS, save_formats
+from omad.output.frame import Frame
 from omad.output.robots.robot import link_frames
+from omad.output.ros import ros_messages
 
 T_WORLD_CAMERA = rigid(Rotation.from_euler("xyz", [-2.1, 0.2, 0.4]).as_matrix(), np.array([1.0, -2.0, 1.5]))
 
@@ -154,3 +156,11 @@ def test_a_camera_whose_place_may_be_in_millimetres_is_warned_of(tmp_path, monke
     assert "millimetres.txt" in told["millimetres.txt"]
     assert "1000" in told["millimetres.txt"]
     assert "warning" not in told["metres.txt"]
+
+
+def test_ros_messages_take_the_cameras_pose(written):
+    folder, estimate, _ = written
+    assert ros_messages(estimate, frame=T_WORLD_CAMERA) == json.loads((folder / "ros.json").read_text())
+    assert ros_messages(estimate, frame=T_WORLD_CAMERA) == ros_messages(estimate, frame=Frame.of(T_WORLD_CAMERA))
+    with pytest.raises(omad.InputError, match="T_world_camera: "):
+        ros_messages(estimate, frame=np.eye(3))

@@ -14,7 +14,7 @@ from omad.common.errors import InputError
 from omad.common.files import write_atomic
 from omad.geometry.lens import Distortion
 from omad.sensing.camera_files import read_camera, read_intrinsics
-from omad.sensing.depth_files import in_metres, read_cloud, read_depth, read_mask
+from omad.sensing.depth_files import in_metres, read_cloud, read_color, read_depth, read_mask
 from omad.sensing.observation import Observation
 
 DEPTH_MM = np.arange(12, dtype=np.uint16).reshape(3, 4) * 100
@@ -282,6 +282,16 @@ def test_masks(tmp_path: Path) -> None:
         assert np.array_equal(read_mask(tmp_path / name), mask), name
     with pytest.raises(InputError):
         read_mask(tmp_path / "none.png")
+
+
+def test_colours_for_printers_are_those_that_are_printed(tmp_path: Path) -> None:
+    image = Image.new("RGB", (8, 6), (200, 30, 60))
+    image.save(tmp_path / "rgb.jpg", quality=95)
+    image.convert("CMYK").save(tmp_path / "cmyk.jpg", quality=95)
+    assert Image.open(tmp_path / "cmyk.jpg").mode == "CMYK"
+    colours = [read_color(tmp_path / name).astype(int) for name in ("rgb.jpg", "cmyk.jpg")]
+    assert colours[1].shape == (6, 8, 3)
+    assert np.abs(colours[0] - colours[1]).max() < 10
 
 
 # writing

@@ -9,6 +9,7 @@ import pytest
 from PIL import Image
 
 from helpers.command_line import laptop_view
+from omad.applications.bulk.stream import Frame
 from omad.common.errors import InputError
 from omad.sensing.camera_files import read_camera
 from omad.sensing.observation import Observation
@@ -170,6 +171,7 @@ def test_rgbd_image_of_open3d_and_frame_of_librealsense(plain):
     stored = np.rint(depth * 10000).astype(np.uint16)
     frame = SimpleNamespace(get_data=lambda: stored, get_units=lambda: 0.0001, get_profile=lambda: profile)
     assert Observation.from_depth(frame).points == pytest.approx(plain.points, abs=1e-4)
+    assert Frame.of_depth("first", frame).load().points == pytest.approx(plain.points, abs=1e-4)
     for order, blue in (("rgb8", 2), ("bgr8", 0)):
         color[:] = 0
         color[..., blue] = 200

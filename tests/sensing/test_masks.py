@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -182,6 +183,26 @@ def test_an_id_picks_one_of_the_labels_that_an_annotation_holds() -> None:
     assert np.array_equal(as_mask({"segmentation": labels}, 7), MASK)
     file = {"annotations": [{"id": 2, "segmentation": MASK}, {"id": 4, "segmentation": ~MASK}]}
     assert np.array_equal(as_mask(file, 2), MASK)  # there it is an annotation's
+
+
+def test_an_annotation_of_another_id_is_refused() -> None:
+    one = {"id": 2, "segmentation": MASK}
+    assert np.array_equal(as_mask(one, 2), MASK)
+    with pytest.raises(InputError, match="the annotation has the id 2, not 4"):
+        as_mask(one, 4)
+
+
+@pytest.mark.parametrize("form", [int, float, np.uint8, np.int64, np.array, torch.tensor])
+def test_ids_are_whole_numbers_of_any_kind(form: Callable) -> None:
+    assert np.array_equal(as_mask(several(), form(2)), MASK)
+    file = {"annotations": [{"id": 2, "segmentation": MASK}, {"id": 4, "segmentation": ~MASK}]}
+    assert np.array_equal(as_mask(file, form(2)), MASK)
+
+
+@pytest.mark.parametrize("wrong", ["1", 1.5, np.nan, [1, 2], None.__class__])
+def test_ids_that_are_none_are_refused(wrong: object) -> None:
+    with pytest.raises(InputError, match=r"mask_id: is .*; give a whole number"):
+        as_mask(several(), wrong)  # type: ignore[arg-type]
 
 
 def test_an_annotation_of_a_whole_file(tmp_path: Path) -> None:

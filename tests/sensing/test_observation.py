@@ -308,3 +308,35 @@ def test_without_a_plane_the_thing_itself_is_taken_with_a_warning() -> None:
     seen = Observation.from_points(ball, segment="plane")
     assert len(seen.points) > 0.9 * len(ball)
     assert any("no table" in warning for warning in seen.warnings)
+
+
+# what is taken and shown
+
+
+@pytest.mark.parametrize("scale", [1, 255.0, 1 / 255, 257])
+def test_colours_are_bytes_shares_or_of_sixteen_bits(scale: float) -> None:
+    color = np.random.default_rng(0).integers(0, 256, (48, 64, 3))
+    kinds = {1: np.uint8, 257: np.uint16}
+    given = color * 1.0 if scale == 255.0 else (color * scale).astype(kinds.get(scale, np.float64))
+    seen = Observation.from_depth(bump(), K, color=given)
+    assert seen.color is not None
+    assert seen.color.dtype == np.uint8
+    assert np.abs(seen.color.astype(int) - color).max() <= 1
+
+
+def test_a_camera_may_have_sizes_that_are_floats() -> None:
+    seen = Observation.from_depth(bump(), replace(CAMERA, width=64.0, height=48.0))  # type: ignore[arg-type]
+    assert seen.camera == CAMERA
+    assert type(seen.camera.width) is int
+    assert np.array_equal(seen.points, Observation.from_depth(bump(), CAMERA).points)
+
+
+def test_what_is_no_number_is_refused_with_the_cure_of_its_kind() -> None:
+    refused("color: dtype bool", "integers up to 255, or floats", color=np.ones((48, 64, 3), bool))
+    refused("intrinsics: ", "a 3x3 matrix or (fx, fy, cx, cy)", K={1, 2})
+    refused("depth: dtype bool", "floats in metres", depth_m=bump() > 0)
+    refused("depth: ", "read the file first", depth_m="depth.png")
+
+
+def test_an_observation_of_nothing_says_so() -> None:
+    assert repr(Observation(np.zeros((0, 3), np.float32))).startswith("<Observation: 0 points")

@@ -2,7 +2,9 @@
 
 import hashlib
 import json
+import math
 from collections.abc import Mapping
+from numbers import Real
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +43,17 @@ def numbers(values: Any, *shape: int | None, what: str, unknown: bool = False) -
     except Exception as error:  # an object of a stranger's may raise anything when it is made an array
         raise InputError(f"{what}: expected {wanted}; pass such an array") from error
     raise InputError(f"{what}: expected {wanted}; pass such an array")
+
+
+def number(value: Any) -> float:
+    """Of whatever a caller has, an array or a tensor of one, too; NaN of what is no number."""
+    if isinstance(value, Real):
+        return float(value)
+    try:
+        found = as_numpy(value)
+    except (TypeError, ValueError, RuntimeError):  # ragged lists
+        return math.nan
+    return float(found.item()) if found.size == 1 and found.dtype.kind in "biuf" else math.nan
 
 
 def as_doubles(values: Any) -> np.ndarray:

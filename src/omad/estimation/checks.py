@@ -6,6 +6,7 @@ from typing import Self
 
 import numpy as np
 
+from omad.common.errors import InputError
 from omad.geometry.rigid import box
 from omad.objects.category import Category
 from omad.sensing.observation import Observation
@@ -77,7 +78,10 @@ class Check:
 
 
 def doubts(observation: Observation, estimate: Estimate, depth_scale: float | None = None) -> list[Check]:
-    """What is doubtful of an estimate; ``depth_scale`` is the one that the depth was read with, where known."""
+    """What is doubtful of an estimate; ``depth_scale`` is the one that the depth was read with, where known. Raises
+    InputError where an estimate comes first."""
+    if isinstance(observation, Estimate):
+        raise InputError("doubts: was given the estimate first; give doubts(observation, estimate)")
     category = estimate.category
     return [
         *size_doubts(observation, category, depth_scale),

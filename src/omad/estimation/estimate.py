@@ -266,7 +266,7 @@ class Estimate(PoseEstimate):
 
     def without_labels(self) -> Self:
         """The same without part labels, for which it keeps the observation's points: for who keeps a great many. How
-        many points a part has is null in its JSON then."""
+        many points a part has is null in its JSON then, and its surface is no longer fitted to what was seen."""
         return replace(self, labelled=LabelledPoints.none())
 
     def initial_pose(self) -> ObjectPose:

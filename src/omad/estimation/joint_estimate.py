@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from numbers import Real
 from typing import Any, Self
 
 import numpy as np
 
+from omad.common.arrays import number
 from omad.common.errors import InputError
 from omad.geometry.joint_kinds import Motion
 from omad.geometry.rigid import rigid, turned_about
@@ -75,9 +75,9 @@ class JointEstimate:
     def interval(self, level: float) -> tuple[float, float]:
         """What holds the true state with probability ``level``, as 0.9: around the estimated one, in its unit. Raises
         InputError for a level that is not between 0 and 1."""
-        if not isinstance(level, Real) or not 0 < level < 1:
+        if not 0 < (told := number(level)) < 1:
             raise InputError(f"level: {level} is no probability between 0 and 1; give 0.9, say")
-        half = self.state_std * deviations(level) ** self.tail
+        half = self.state_std * deviations(told) ** self.tail
         return self.state - half, self.state + half
 
     @property

@@ -1,14 +1,13 @@
 """What is known of an object before it is looked at: held fixed while the rest is estimated."""
 
 from dataclasses import dataclass, replace
-from numbers import Real
 from typing import Any, Self
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from omad.common.arrays import as_doubles, as_numpy, numbers
+from omad.common.arrays import as_doubles, as_numpy, number, numbers
 from omad.common.errors import InputError
 from omad.geometry.rigid import mirrored, rigid
 from omad.geometry.transforms import MIRROR_X, make_transform, so3_exp
@@ -143,11 +142,11 @@ def check_known(known: Any, category: Category, basis_size: int) -> None:
     if (hand := known.mirrored_probability) is not None:
         if not category.either_hand:
             raise InputError(f"known mirrored_probability: a {category.name} has one hand (either_hand); leave it out")
-        if not (isinstance(hand, Real) and 0 <= hand <= 1):
+        if not 0 <= number(hand) <= 1:
             raise InputError(f"known mirrored_probability: {hand} is no probability; give 0 to 1")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Near:
     """Where an object that was seen before is expected, and what is believed of its shape. Camera frame, metres."""
 

@@ -11,7 +11,7 @@ OUTSIDE = -1
 """Label of a point that is not on the object."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class LabelledPoints:
     """All points of an observation, some of which the network has labelled. Keeps the points in memory."""
 

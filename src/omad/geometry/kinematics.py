@@ -31,6 +31,7 @@ class KinematicTree:
     parents: tuple[int, ...]
     """Per joint, the parent part; the child of joint ``j`` is part ``j + 1`` and comes after its parent."""
     motions: tuple[Motion, ...]
+    """Per joint, what a unit of its state does."""
 
     def __post_init__(self) -> None:
         if len(self.parents) != len(self.motions):

@@ -42,6 +42,7 @@ class TerminationConfig:
     """When a problem is done."""
 
     max_iterations: int = 1000
+    """Done after so many steps, converged or not."""
     step_tolerance: float = 1e-6
     """Converged when no unknown moves by more than this in a step (an accepted one, or one hardly damped)."""
     cost_tolerance: float = 1e-12

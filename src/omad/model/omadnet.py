@@ -26,12 +26,12 @@ OWN = ("prior.", "shape_branch.2.", "state_branch.2.", "keypoint_branch.2.", "pa
 """What a network has of its category alone: its prior, and the layers that speak of its parts, joints and keypoints."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Prediction:
     """What the network says of B clouds, in their input frames."""
 
     beta: Tensor
-    """(B, |beta|)."""
+    """(B, D)."""
     quaternion: Tensor
     """(B, 4) unit, rotation of the base."""
     translation: Tensor

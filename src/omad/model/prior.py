@@ -18,7 +18,7 @@ from omad.geometry.transforms import MIRROR_X
 from omad.objects.category import Category
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class JointParameters:
     """Joints in canonical space."""
 

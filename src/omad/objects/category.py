@@ -110,7 +110,9 @@ class ViewRange:
     azimuth: float = math.pi / 2
     """Uniform within plus or minus this of the front."""
     elevation: tuple[float, float] = (math.radians(10), math.radians(70))
+    """Uniform from the lowest to the highest, above the horizon."""
     roll: float = math.radians(15)
+    """Uniform within plus or minus this of level."""
 
     def __post_init__(self) -> None:
         if not 0 < self.azimuth <= math.pi:

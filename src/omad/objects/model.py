@@ -23,7 +23,7 @@ LEAST = 1 / 256
 """Share of an object's samples that each part has, however small it is: a part without any is none to learn."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SurfaceSamples:
     """Points drawn uniformly by area from all parts of an object."""
 

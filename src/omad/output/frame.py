@@ -9,11 +9,12 @@ from omad.geometry.rigid import rigid_transform
 from omad.objects import category
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Frame:
     """A frame in which an observed object can be written down."""
 
     name: str
+    """As robots' programs know it."""
     T_frame_camera: np.ndarray
     """(4, 4)."""
     upright: bool = False

@@ -264,7 +264,9 @@ def _draw_from_side(panel: Axes, observation: Observation, estimate: Estimate) -
     panel.scatter(z, y, s=1.5, c=part_colours(labels[::step]), linewidths=0)
     for part, mesh in enumerate(estimate.surface.posed()):
         loops = mesh.carried(T_base_camera).triangles[:, [0, 1, 2, 0]]
-        panel.add_collection(LineCollection(loops[..., [2, 1]], colors=[0.6 * part_colours(part)], linewidths=0.6))
+        panel.add_collection(
+            LineCollection(list(loops[..., [2, 1]]), colors=[0.6 * part_colours(part)], linewidths=0.6)
+        )
     panel.autoscale_view()
     panel.set_aspect("equal")
 

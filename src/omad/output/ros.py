@@ -11,11 +11,15 @@ from .frame import CAMERA, Frame
 from .robots.robot import link_frames
 
 
-def ros_messages(estimate: Estimate, stamp_ns: int = 0, frame: Frame = CAMERA, prefix: str = "") -> dict[str, Any]:
+def ros_messages(
+    estimate: Estimate, stamp_ns: int = 0, frame: Frame | np.ndarray = CAMERA, prefix: str = ""
+) -> dict[str, Any]:
     """``{"joint_state": JointState, "tf": TFMessage, "probability": that it is right, or None}`` of plain Python
-    values. ``stamp_ns``: nanoseconds, when the image was taken. ``frame`` is the parent of the base link; each other
-    link hangs on its parent link, as in the URDF; ``prefix`` stands before links' names, so that they are not those of
-    a robot's links. Metres, radians; quaternions x, y, z, w."""
+    values. ``stamp_ns``: nanoseconds, when the image was taken. ``frame`` is the parent of the base link, a ``Frame``
+    or the camera's pose (4, 4) in the world; each other link hangs on its parent link, as in the URDF; ``prefix``
+    stands before links' names, so that they are not those of a robot's links. Metres, radians; quaternions x, y, z, w.
+    Raises InputError for what is no pose."""
+    frame = frame if isinstance(frame, Frame) else Frame.of(frame)
     seconds, rest = divmod(int(stamp_ns), 10**9)
     stamp = {"sec": seconds, "nanosec": rest}
     names = [prefix + part.name for part in estimate.category.parts]

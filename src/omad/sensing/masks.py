@@ -4,12 +4,13 @@ COCO's run lengths are those of pycocotools (Lin et al., "Microsoft COCO", 2014)
 """
 
 from collections.abc import Mapping, Sequence
+from os import PathLike
 from typing import Any
 
 import numpy as np
 
-from omad.common.arrays import as_numpy
-from omad.common.errors import InputError
+from omad.common.arrays import as_numpy, number
+from omad.common.errors import InputError, shown
 from omad.common.limits import check_limit
 
 INSIDE = 0.5
@@ -50,20 +51,23 @@ def as_mask(values: Any, mask_id: int | None = None) -> np.ndarray:
       x, y, x, y ... in pixels; or an annotation that has it, or an array as above, under ``segmentation``; or a file
       of ``annotations``, or a list of them, of which ``mask_id`` is one's id, where there are several.
 
-    Raises InputError for logits, for several masks or labels in one, and for what is none of these."""
+    ``mask_id`` is any kind of whole number. Raises InputError for logits, for several masks or labels in one, and for
+    what is none of these."""
+    mask_id = None if mask_id is None else _whole(mask_id)
     if are_annotations(values):
         values = {"annotations": values}
     if isinstance(values, Mapping):
         if mask_id is not None and "annotations" not in values and values.get("id", mask_id) != mask_id:
             raise InputError(f"mask: the annotation has the id {values['id']}, not {mask_id}")
-        return _decoded(_annotation(values, mask_id), None if "annotations" in values else mask_id)
+        return _decoded(_annotation(values, mask_id), None if {"annotations", "id"} & values.keys() else mask_id)
     try:
         stored = as_numpy(values)
     except (TypeError, ValueError, RuntimeError) as error:  # ragged lists
         raise InputError("mask: cannot be read as an array; pass (H, W) of booleans or numbers") from error
     if stored.dtype.kind not in "biuf":
+        is_path = isinstance(values, str | PathLike)
         path, array = "read the file first: omad.sensing.depth_files.read_mask", "pass (H, W) of booleans or numbers"
-        raise InputError(f"mask: dtype {stored.dtype} is no mask; {array if stored.ndim else path}")
+        raise InputError(f"mask: dtype {stored.dtype} is no mask; {path if is_path else array}")
     while stored.ndim > 3 and stored.shape[0] == 1:
         stored = stored[0]
     if stored.ndim == 3 and stored.shape[-1] in (3, 4) and stored.shape[0] > 1:
@@ -79,6 +83,12 @@ def as_mask(values: Any, mask_id: int | None = None) -> np.ndarray:
     if stored.dtype.kind == "f":
         return _likely(stored)
     return stored if stored.dtype == bool else _of_one_thing(stored)
+
+
+def _whole(mask_id: Any) -> int:
+    if not (told := number(mask_id)).is_integer():
+        raise InputError(f"mask_id: is {shown(repr(mask_id))}; give a whole number")
+    return int(told)
 
 
 def are_annotations(values: Any) -> bool:

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from os import PathLike
 from typing import Any, Literal, Self
 
 import numpy as np
@@ -265,14 +266,14 @@ def _mask_of(pixels: np.ndarray, depth: np.ndarray, every: int) -> np.ndarray:
     return mask if every == 1 else mask.repeat(every, 0).repeat(every, 1)[:height, :width] & (depth > 0)
 
 
-def _numbers(values: Any, name: str) -> np.ndarray:
+def _numbers(values: Any, name: str, cure: str = "pass floats in metres") -> np.ndarray:
     """Integers or floats as they are."""
     try:
         array = as_numpy(values)
     except (TypeError, ValueError, RuntimeError) as error:  # ragged lists
         raise InputError(f"{name}: cannot be read as an array; pass NumPy numbers") from error
     if array.dtype.kind not in "iuf":
-        cure = "pass floats in metres" if array.ndim else "read the file first: omad.sensing.depth_files"
+        cure = "read the file first: omad.sensing.depth_files" if isinstance(values, str | PathLike) else cure
         raise InputError(f"{name}: dtype {array.dtype} is not numeric; {cure}")
     return array
 
@@ -319,7 +320,7 @@ def _check_camera(K: Any, shape: tuple[int, ...]) -> Camera:
             size = "x".join(map(str, told.size))
             raise InputError(f"depth: is {width}x{height} but its camera {size}; use the image's own")
         return Camera.from_K(told.K, width, height, told.distortion)
-    values = _numbers(K, "intrinsics")
+    values = _numbers(K, "intrinsics", "pass a 3x3 matrix or (fx, fy, cx, cy)")
     if values.shape not in ((4,), (9,), (3, 3)):
         raise InputError(f"intrinsics: expected a 3x3 matrix or (fx, fy, cx, cy), got shape {values.shape}")
     return Camera.from_K(as_K(values, "intrinsics"), width, height)
@@ -329,7 +330,7 @@ def _check_color(color: Any, shape: tuple[int, ...]) -> np.ndarray | None:
     """(H, W, 3) uint8."""
     if color is None:
         return None
-    image = _numbers(image_from(color), "color")
+    image = _numbers(image_from(color), "color", "pass integers up to 255, or floats")
     if image.shape[:2] != shape:
         cure = "give one that is aligned to depth, or on the command line --color-intrinsics and --color-extrinsics"
         sizes = ["x".join(map(str, size[1::-1])) for size in (image.shape, shape)]

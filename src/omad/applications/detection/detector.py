@@ -110,7 +110,7 @@ class Detection:
         )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Look:
     """What one look at a frame finds."""
 

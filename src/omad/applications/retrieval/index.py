@@ -54,6 +54,13 @@ class Entry:
         return self.of_other_hand != signature.of_other_hand if known else None
 
 
+def check_entries(entries: Sequence[Entry]) -> None:
+    """Raises InputError for what are none, as names alone."""
+    for entry in entries:
+        if not isinstance(entry, Entry):
+            raise InputError(f"entry: is {type(entry).__name__}; give omad.applications.retrieval.index.Entry(name)")
+
+
 def with_hands(signatures: Sequence[Signature], entries: Sequence[Entry]) -> list[Entry]:
     """Entries that say themselves of which hand their objects are, where their signatures do."""
     pairs = zip(signatures, entries, strict=True)
@@ -68,6 +75,7 @@ class Hit:
     """One entry of an answer."""
 
     entry: Entry
+    """What the catalogue says of it."""
     distance: float
     """In the space's measure: metres between keypoints, units of beta, or standard deviations."""
     mirrored: bool | None = None
@@ -110,9 +118,11 @@ class ShapeIndex:
         return self._covariances / max(len(self), 1)
 
     def add(self, signatures: Sequence[Signature], entries: Sequence[Entry]) -> None:
-        """Add objects. Raises InputError for a signature of another prior."""
+        """Add objects. Raises InputError for a signature of another prior, and for what are no signatures or
+        entries."""
         if len(signatures) != len(entries):
             raise InputError(f"{len(signatures)} signatures for {len(entries)} entries; give one each")
+        check_entries(entries)
         for signature in signatures:
             self.space.check(signature)
         if signatures:
@@ -122,6 +132,7 @@ class ShapeIndex:
 
     def add_betas(self, betas: np.ndarray, entries: Sequence[Entry]) -> None:
         """``add`` for many at a time: betas (n, D) that are known to be of this prior."""
+        check_entries(entries)
         betas = np.array(betas, dtype=np.float32)  # the caller's may change
         if betas.shape != (len(entries), len(self.space.factor)) or not np.isfinite(betas).all():
             raise InputError(f"betas: expected finite ({len(entries)}, {len(self.space.factor)}), got {betas.shape}")

@@ -27,7 +27,7 @@ SEARCH_EFFORT = 128
 """Candidates that a search keeps; more of them find more of the nearest."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Neighbours:
     """The nearest vectors of Q queries, nearest first; of equally near ones that which was added first."""
 

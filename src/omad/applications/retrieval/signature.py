@@ -61,7 +61,9 @@ class Space:
     prior: str
     """Fingerprint."""
     category: str
+    """Its name."""
     metric: Metric
+    """Which distance that is (``of``)."""
     factor: np.ndarray
     """(D, D) float64."""
 
@@ -88,7 +90,10 @@ class Space:
         return (np.asarray(betas, dtype=np.float64) @ self.factor.T).astype(np.float32)
 
     def check(self, signature: Signature) -> None:
-        """Raises InputError where the signature speaks another prior's language."""
+        """Raises InputError where the signature is none, or speaks another prior's language."""
+        if not isinstance(signature, Signature):
+            cure = "of an estimate, omad.applications.retrieval.signature.estimate_signature makes it"
+            raise InputError(f"signature: is {type(signature).__name__}; give a Signature: {cure}")
         self.check_prior(signature.prior)
         size = len(self.factor)
         numbers(signature.beta, size, what="beta")

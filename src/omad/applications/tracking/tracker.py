@@ -21,10 +21,10 @@ from scipy.stats import chi2
 
 from omad.common.arrays import as_doubles
 from omad.common.errors import InputError, shown
+from omad.estimation.categories.late import AnyEstimator
 from omad.estimation.checks import no_surer
 from omad.estimation.confidence.model import RIGHT_ANGLE, RIGHT_SHARE
 from omad.estimation.estimate import Estimate
-from omad.estimation.estimator import Estimator
 from omad.estimation.known import NOTHING_KNOWN, Known, Near, check_known
 from omad.estimation.looks.shown import check_observations
 from omad.sensing.observation import Observation
@@ -130,7 +130,7 @@ class _Track:
 class Tracker:
     """Gives a ``TrackedEstimate`` for each frame of one object."""
 
-    def __init__(self, estimator: Estimator, config: TrackerConfig = DEFAULT_CONFIG) -> None:
+    def __init__(self, estimator: AnyEstimator, config: TrackerConfig = DEFAULT_CONFIG) -> None:
         self.estimator, self.config = estimator, config
         self._unit = estimator.category.metres_per_unit
         self._size = 6 + len(estimator.category.joints)

@@ -43,6 +43,7 @@ class Refusal:
     """A model that was not taken in."""
 
     name: str
+    """Of the model."""
     reason: str
     """One line."""
 
@@ -63,7 +64,9 @@ class FolderImport:
     """What a folder of models gave."""
 
     models: list[ObjectModel]
+    """Those that were taken in."""
     refused: list[Refusal]
+    """Those that were not."""
     notes: list[Refusal] = field(default_factory=list)
     """What had to be put right about models that were taken in."""
     doubts: list[Refusal] = field(default_factory=list)

@@ -53,6 +53,7 @@ class Confidence:
     """Of one category's network."""
 
     category: str
+    """Its name."""
     image: tuple[str, ...]
     """Names of the signals of an estimate, the first of ``IMAGE`` ..."""
     joint: tuple[str, ...]
@@ -63,6 +64,7 @@ class Confidence:
     right: Perceptron
     """From the signals of image and all joints to the log-odds of a right answer."""
     fitted_to: FittedTo
+    """What it was learned from."""
     hand: tuple[float, ...] = ()
     """Of a category whose objects may be of either hand: what ``either_hand.odds`` takes."""
 

@@ -42,7 +42,7 @@ LARGE = 10.0
 """In place of what is not finite."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Signals:
     """Of B estimates with J joints; finite."""
 

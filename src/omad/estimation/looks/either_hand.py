@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import expit, logit
 
+from omad.common.arrays import number
 from omad.common.errors import InputError
 from omad.model.fronts.hands import shipped_hand_net
 from omad.model.fronts.seen import front_of
@@ -38,7 +39,7 @@ def surer_hands(
     # either answer tells the odds, for itself and against the other: the mean of both
     lead = (odds_for[:, 0] - odds_for[:, 1]) / 2
     if mirrored_probability is not None:
-        before = -logit(mirrored_probability)
+        before = -logit(number(mirrored_probability))
         lead = np.where(np.abs(lead) > abs(before), lead, before) if hand else np.full(len(lead), before)
     chosen = [own if ahead >= 0 else image.in_mirror() for ahead, (own, image) in zip(lead, pairs, strict=True)]
     told = expit(np.abs(lead)).tolist() if hand else [None] * len(pairs)

@@ -15,7 +15,7 @@ from torch import Tensor
 from omad.geometry.transforms import make_transform, so3_exp
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class State:
     """The unknowns of B observations."""
 
@@ -43,7 +43,7 @@ class State:
         return cls(rows[:, 16 + joints :], rows[:, 16 : 16 + joints], rows[:, :16].unflatten(1, (4, 4)))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Targets:
     """Where the keypoints of B observations are seen."""
 

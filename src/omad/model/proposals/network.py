@@ -88,6 +88,7 @@ class Proposer:
     """Says which categories clouds may be of."""
 
     net: ProposalNet
+    """Its network."""
 
     @classmethod
     def from_folder(cls, folder: Path = WEIGHTS, device: torch.device | str = "cpu") -> Self:

@@ -35,11 +35,12 @@ ROUNDED = 1e-3
 """By how much numbers of a basis may differ: some weights are stored with fewer digits."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ShapeBank:
     """N objects of a category."""
 
     category: Category
+    """Of which they are."""
     basis: np.ndarray
     """(L, 3, D) learned by the prior whose keypoints these are."""
     keypoints: np.ndarray

@@ -29,7 +29,7 @@ from .placed import Placed
 from .template import Template
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PosedSurface:
     """Surfaces of an object's parts, as the answer that they were fitted for carries them.
 
@@ -56,7 +56,7 @@ class PosedSurface:
         return tuple(part.carried(T) for part, T in zip(self.parts, self.found.T_camera_part, strict=True))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FittedSurface(PosedSurface):
     """A surface that was fitted to a cloud."""
 
@@ -76,6 +76,7 @@ class SurfaceConfig:
     """What the RMS distance of an object's own keypoints from the estimate's counts beside its distance from the
     cloud: it speaks of what is hidden."""
     fit: FitConfig = FitConfig()
+    """How each of them is fitted to the cloud."""
 
 
 class Surfaces:
