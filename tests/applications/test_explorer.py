@@ -226,7 +226,7 @@ def until(true) -> None:
     end = time.monotonic() + 120
     while not true():
         assert time.monotonic() < end
-        time.sleep(0.05)
+        time.sleep(0.3)
 
 
 def colours(browser: HeadlessBrowser) -> np.ndarray:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from helpers.command_line import LAPTOP, K, answer, cloud, laptop_view, refused, save_png
+from helpers.command_line import LAPTOP, K, cloud, laptop_view, refused, save_png
 from omad.cli.main import run
 from omad.common.incoming import CHECKSUM
 from omad.data.procedural import generate
@@ -160,13 +160,13 @@ def test_a_bad_one_among_many_is_named_and_the_others_are_done(capsys):
     save_png("frames/a.png")
     save_png("frames/b.png", 0 * laptop_view().depth)
     save_png("frames/c.png")
-    arguments = ["estimate", "frames", "nowhere.png", *LAPTOP, *K]
-    found = answer(capsys, *arguments, code=2)
+    assert run(["estimate", "frames", "nowhere.png", *LAPTOP, *K, "--json"]) == 2
+    said = capsys.readouterr()
+    found = json.loads(said.out)
     assert [result["input"] for result in found["results"]] == ["frames/a.png", "frames/c.png"]
     assert [refusal["input"] for refusal in found["refused"]] == ["frames/b.png", "nowhere.png"]
     assert {path.name for path in Path("omad-estimate").iterdir()} == {"a", "c"}
-    assert run(arguments) == 2
-    errors = [line for line in capsys.readouterr().err.splitlines() if line.startswith("omad: ")]
+    errors = [line for line in said.err.splitlines() if line.startswith("omad: ")]
     assert [("b.png" in error, "nowhere.png" in error) for error in errors] == [(True, False), (False, True)]
 
 

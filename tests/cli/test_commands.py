@@ -362,11 +362,11 @@ def use_weights(capsys, folder: str) -> None:
 
 @pytest.mark.slow
 def test_as_a_program():
-    command = [sys.executable, "-m", "omad", "estimate", save_png("d.png"), *LAPTOP, "--json"]
-    good = subprocess.run([*command, *K], capture_output=True, text=True, check=False)
+    command = [sys.executable, "-m", "omad", "estimate", save_png("d.png"), *LAPTOP, *K, "--json"]
+    good = subprocess.run(command, capture_output=True, text=True, check=False)
     assert good.returncode == 0, good.stderr
     assert json.loads(good.stdout)["converged"]
-    bad = subprocess.run(command, capture_output=True, text=True, check=False)
+    bad = subprocess.run([*command, "--output", "d.png"], capture_output=True, text=True, check=False)
     assert (bad.returncode, bad.stdout) == (2, "")
     assert len(bad.stderr.strip().splitlines()) == 1
 

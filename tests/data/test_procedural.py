@@ -17,14 +17,15 @@ from omad.geometry.rigid import box as box_of
 from omad.objects.category import Category
 from omad.objects.model import ObjectModel
 
-COUNT = 150
+COUNT = {name: 150 for name in ("laptop", "dishwasher", "eyeglasses", "drawer", "scissors", "lidded_box")}
+"""Objects of the categories whose spread is measured; 60 of others."""
 LEAN = {"eyeglasses": 20}
 """Degrees at most that axes are from what the spec says; 8 of others."""
 
 
 @pytest.fixture(scope="module")
 def objects() -> dict[str, list[ObjectModel]]:
-    return {name: [generate(EVERY[name], i, "train") for i in range(COUNT)] for name in GENERATORS}
+    return {name: [generate(EVERY[name], i, "train") for i in range(COUNT.get(name, 60))] for name in GENERATORS}
 
 
 @pytest.fixture(params=sorted(GENERATORS))
@@ -110,7 +111,7 @@ def test_the_same_arguments_give_the_same_object(category, objects):
 
 @pytest.mark.slow
 def test_splits_seeds_and_indices_share_no_object(category):
-    variants = [(i, split, seed) for i in range(10) for split in ("train", "test") for seed in range(3)]
+    variants = [(i, split, seed) for i in range(5) for split in ("train", "test") for seed in range(3)]
     models = [generate(category, *variant) for variant in variants]
     assert len({m.name for m in models}) == len(models)
     assert len({m.part_boxes().tobytes() for m in models}) == len(models)
@@ -219,7 +220,8 @@ def test_parts_keep_clear_of_each_other_wherever_joints_are(category, objects):
     if category.name.split("_")[0] in OLDER:
         pytest.skip("their objects stay as they were")
     rng = np.random.default_rng(0)
-    cuts = {model.name: deepest_cut(model, category, rng) for model in objects[category.name][:25]}
+    count = 8 if category.name == "jar" else 25  # jars take the longest
+    cuts = {model.name: deepest_cut(model, category, rng) for model in objects[category.name][:count]}
     assert not {name: cut for name, cut in cuts.items() if cut > DEEPEST}
 
 

@@ -11,7 +11,7 @@ import trimesh
 from scipy import ndimage
 
 from helpers.categories import EVERY
-from omad.data.procedural import GENERATORS, generate
+from omad.data.procedural import generate
 from omad.data.rendering.rasteriser import NEAR, NOTHING, Rendering, rasterise, render
 from omad.data.rendering.standard_views import standard_view
 from omad.geometry.camera import STANDARD_CAMERA, Camera
@@ -54,7 +54,7 @@ def assert_same(ours: Rendering, oracle: Rendering) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", sorted(GENERATORS))
+@pytest.mark.parametrize("name", ["drawer", "eyeglasses", "jar", "laptop", "lidded_box", "scissors"])
 def test_procedural_objects_look_as_rays_see_them(name: str) -> None:
     category = EVERY[name]
     for index in range(4):

@@ -140,7 +140,7 @@ OTHER_HAND = {"10849", "12249", "46197", "46236"}
 def test_real_models_are_within_what_is_generated(name):
     """Sizes of parts and places of hinges, as shares of the object's diagonal."""
     category, (folder, *names) = EVERY[name], WITHIN[name]
-    made = np.stack([_proportions(generate(category, index)) for index in range(300)])
+    made = np.stack([_proportions(generate(category, index)) for index in range(150)])
     low, high = made.min(0), made.max(0)
     for each in names:
         imported = import_with_notes(MODELS / folder / each, category)

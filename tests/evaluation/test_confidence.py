@@ -17,7 +17,7 @@ from omad.data.rendering.spoils.thinned import FEWEST, thinned_spoil
 from omad.estimation.confidence.model import Confidence, FittedTo, deviations
 from omad.estimation.confidence.signals import IMAGE, JOINT, WITHOUT_FRONT, Signals
 from omad.evaluation.calibration import area_under_roc, expected_calibration_error
-from omad.evaluation.confidence import views
+from omad.evaluation.confidence import fitting, views
 from omad.evaluation.confidence.fitting import Answers, fit, measured
 from omad.evaluation.confidence.views import HEAPS, OTHERS, examples
 
@@ -42,6 +42,12 @@ def fitted() -> Confidence:
     return fit(answers(0)[0], LAPTOP, TO_TEST)
 
 
+@pytest.fixture
+def errors_alone(fitted: Confidence, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Fits have the probability of another, which takes most of their time."""
+    monkeypatch.setattr(fitting, "_right", lambda answers, image: (fitted.right, 0.0))
+
+
 def test_intervals_of_unseen_answers_hold_as_often_as_they_say(fitted: Confidence) -> None:
     unseen, _ = answers(1)
     std, tail = fitted.spreads(unseen.signals, LAPTOP)
@@ -57,7 +63,7 @@ def test_intervals_of_unseen_answers_hold_as_often_as_they_say(fitted: Confidenc
 
 
 @pytest.mark.slow
-def test_a_chance_of_a_half_turn_widens_the_upper_interval_alone() -> None:
+def test_a_chance_of_a_half_turn_widens_the_upper_interval_alone(errors_alone: None) -> None:
     seen, _ = answers(0, half_turned=0.3)
     sure = fit(seen, LAPTOP, TO_TEST)
     unseen, _ = answers(1, half_turned=0.3)
@@ -82,8 +88,11 @@ def test_probabilities_are_those_that_answers_were_drawn_with(fitted: Confidence
 
 
 @pytest.mark.slow
-def test_the_front_is_asked_for_where_it_tells_right_from_wrong(fitted: Confidence) -> None:
+def test_the_front_is_asked_for_where_it_tells_right_from_wrong(
+    fitted: Confidence, monkeypatch: pytest.MonkeyPatch
+) -> None:
     assert not fitted.asks_front
+    monkeypatch.setattr(fitting, "fit_errors", lambda inputs, errors: fitted.errors)
     asking = fit(answers(0, front=1.0)[0], LAPTOP, TO_TEST)
     assert asking.asks_front
     unseen, likely = answers(1, front=1.0)
@@ -91,7 +100,7 @@ def test_the_front_is_asked_for_where_it_tells_right_from_wrong(fitted: Confiden
 
 
 @pytest.mark.slow
-def test_other_things_count_for_the_probability_alone() -> None:
+def test_other_things_count_for_the_probability_alone(errors_alone: None) -> None:
     seen, _ = answers(0)
     other = np.arange(VIEWS) % 4 == 0
     seen = Answers(seen.signals, np.where(other[:, None], np.nan, seen.errors), seen.right & ~other)

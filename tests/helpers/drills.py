@@ -51,16 +51,16 @@ DRILLS = [
     Drill(
         "train surface",
         [
-            *["train", "surface", *LAPTOP, "--weights", "out", "--objects", "4", "--views", "6"],
+            *["train", "surface", *LAPTOP, "--weights", "out", "--objects", "4", "--views", "2"],
             *["--threads", "1", "--device", "cpu"],
         ],
         begun=("config.json", "model.safetensors"),
     ),
     Drill(
         "train confidence",
-        ["train", "confidence", *LAPTOP, "--weights", "out", "--objects", "4", "--views", "26"],
+        ["train", "confidence", *LAPTOP, "--weights", "out", "--objects", "4", "--views", "14"],
         begun=("config.json", "model.safetensors"),
-        small=tuple(("omad.evaluation.confidence.fitting", name, 10) for name in ("FEWEST", "STEPS")),
+        small=tuple(("omad.evaluation.confidence.fitting", *each) for each in (("FEWEST", 4), ("STEPS", 10))),
     ),
     Drill(
         "index",

@@ -10,6 +10,7 @@ import scipy.optimize
 import torch
 from torch import Tensor
 
+from helpers.categories import DRAWER, LAPTOP
 from helpers.scenes import CASES, CRANE, WIDE, Scene, scene
 from omad.common.errors import InputError
 from omad.evaluation.baselines.adam import refine_with_adam
@@ -366,7 +367,7 @@ def test_wrong_input_is_named() -> None:
 
 
 @pytest.mark.slow
-@each_case
+@pytest.mark.parametrize("category", [LAPTOP, DRAWER, CRANE], ids=lambda c: c.name)
 def test_adam_recipe_ends_no_lower(category: Category) -> None:
     s = scene(category, batch=2, noise=1.0)
     wide = replace(s, limits=torch.tensor([-WIDE, WIDE]).double().expand(len(s.limits), 2))

@@ -1,7 +1,7 @@
 """Exported objects in a simulator: no two links touch in any state, and nothing moves by itself.
 
-MuJoCo reads what was written and steps it, with gravity, for two seconds. Parent pairs, which simulators leave out by
-default, are checked, too.
+MuJoCo reads what was written and steps it, with gravity, for two seconds from some of them. Parent pairs, which
+simulators leave out by default, are checked, too.
 """
 
 from dataclasses import replace
@@ -26,6 +26,8 @@ mujoco = pytest.importorskip("mujoco", reason="MuJoCo is an extra: pip install '
 
 SECONDS = 2.0
 STATES = 20
+LEFT = {0, 1, *range(2, STATES + 2, 3)}
+"""Those of ``some_states`` that are left to themselves: rest, the estimate and every third of the others."""
 STILL = 2e-3
 """Radians or metres: friction is a soft constraint, which creeps a little."""
 
@@ -80,11 +82,13 @@ def test_nothing_touches_and_nothing_moves_by_itself(name, written):
     for down in (None, rng.normal(size=3)):
         model = compiled(folder / "robot.xml", True, None if down is None else down / np.linalg.norm(down))
         data = mujoco.MjData(model)
-        for states in some_states(model, estimate):
+        for number, states in enumerate(some_states(model, estimate)):
             mujoco.mj_resetData(model, data)
             data.qpos[:] = states
             mujoco.mj_forward(model, data)
             assert data.ncon == 0
+            if number not in LEFT:
+                continue
             while data.time < SECONDS:
                 mujoco.mj_step(model, data)
             assert np.abs(data.qpos - states).max() < STILL
