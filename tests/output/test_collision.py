@@ -3,6 +3,7 @@
 import tracemalloc
 from dataclasses import replace
 from functools import cache
+from itertools import product
 from xml.etree import ElementTree
 
 import numpy as np
@@ -10,11 +11,13 @@ import pytest
 import trimesh
 from scipy.optimize import linprog
 from scipy.spatial import ConvexHull
+from scipy.spatial.transform import Rotation
 
 from omad.data.procedural import generate
 from omad.geometry.convex.bodies import ConvexBody, convex_bodies, overlap, united
 from omad.geometry.convex.pieces import convex_pieces
 from omad.geometry.mesh import Mesh, merge_meshes
+from omad.geometry.rigid import rigid
 from omad.objects.category_file import get_category
 from omad.objects.model import ObjectModel
 from omad.objects.urdf import write_urdf
@@ -27,6 +30,21 @@ def touch(one: np.ndarray, other: np.ndarray) -> bool:
     planes = np.concatenate([ConvexHull(points).equations for points in (one, other)])
     found = linprog(np.zeros(3), planes[:, :3], -planes[:, 3], bounds=(None, None))
     return found.status == 0
+
+
+def test_what_was_cut_at_the_gap_is_not_cut_again():
+    """Although it was carried there and back, which rounds."""
+    rng = np.random.default_rng(0)
+    for _ in range(30):
+        T = rigid(Rotation.random(random_state=rng).as_matrix(), rng.normal(size=3))
+        cube = ConvexBody.around(np.array(list(product((0.0, 0.37), repeat=3))))
+        other = ConvexBody.around(cube.vertices + rng.uniform(0, 0.3, 3)).carried(T)
+        here = other.carried(np.linalg.inv(T))
+        found = overlap(cube, here, 0.002)
+        assert found is not None
+        left = here.cut(found.normal, found.first_end + 0.002)
+        assert left is not None
+        assert overlap(cube, left.carried(T).carried(np.linalg.inv(T)), 0.002) is None
 
 
 def solid(made: trimesh.Trimesh) -> Mesh:

@@ -11,6 +11,9 @@ from ..mesh import Mesh, convex_hull, triangle_normals
 from ..rigid import box
 from .pieces import convex_pieces, union
 
+ROUNDED = 1e-9
+"""Metres: what was cut at a gap, and carried there and back, is nearer by so much at most."""
+
 
 @dataclass(frozen=True)
 class ConvexBody:
@@ -92,7 +95,7 @@ def overlap(first: ConvexBody, second: ConvexBody, gap: float) -> Overlap | None
     normals = np.concatenate([first.normals, -second.normals])
     one, other = first.vertices @ normals.T, second.vertices @ normals.T
     depth = one.max(0) - other.min(0) + gap
-    if depth.min() <= 0:
+    if depth.min() <= ROUNDED:
         return None
     shares = depth / np.maximum(np.stack([np.ptp(one, axis=0), np.ptp(other, axis=0)]), 1e-12)
     cut_second, least = divmod(int(shares[::-1].argmin()), len(normals))
