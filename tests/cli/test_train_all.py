@@ -41,6 +41,7 @@ def test_all_steps_of_two_categories_and_what_is_done_stays(capsys, monkeypatch)
         net, record = load(OmadNet, folder), training_record(OmadNet, folder)
         assert net.tells_outside
         assert record["refinement_loss"] == 6.0
+        assert (record["initial"]["schedule"]["seed"], record["schedule"]["seed"]) == (0, 1)  # other views
         assert record["initial"]["features"]["category"] == "laptop"
     monkeypatch.setattr(loop, "train", None)  # nothing is trained again
     Path("runs/laptop/results.json").unlink()

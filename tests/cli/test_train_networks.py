@@ -50,6 +50,12 @@ def test_a_word_that_is_a_category_and_a_folder_is_refused(monkeypatch, tmp_path
     assert asked[0]["initial"].backbone.config == BACKBONES["fine"]
 
 
+@pytest.mark.parametrize("weight", [-1.0, float("nan"), float("inf")])
+def test_a_weight_that_is_none_is_refused(weight):
+    with pytest.raises(InputError, match="--refinement-loss: must be 0 or more"):
+        networks.TrainNet(category="laptop", output=Path("run"), refinement_loss=weight).run()
+
+
 def test_a_category_without_weights_names_the_option_that_brings_them(capsys):
     assert run(["eval", "pose", "--category", "my_microwave"]) == 2
     assert "give a checkpoint folder (--weights)" in capsys.readouterr().err

@@ -61,6 +61,15 @@ def test_each_cell_shows_one_place_within_it(bank):
     assert np.abs(cell[..., 1] - own // CELLS - 0.5)[there].max() < 0.51
 
 
+def test_what_is_drawn_is_drawn_where_the_generator_is(bank):
+    """An accelerator's generator draws nothing on the CPU: no draw may be left to the default device."""
+    given = bank.points[:1], torch.tensor([[0.0, 0.0, 6.0]]), torch.ones(1), torch.full((1,), -1.0)
+    indices, corners = torch.tensor([0]), given[0] + given[1]
+    with torch.device("meta"):
+        places, _, _ = bank.seen(indices, corners, *given[1:], torch.Generator("cpu"))
+    assert places.device.type == "cpu"
+
+
 def test_views_are_those_of_samples_but_for_what_shines_through_these(bank):
     """The same seed gives the same objects in the same poses, and clouds of the same size."""
     models = [generate(CHEST, index) for index in range(3)]

@@ -16,6 +16,7 @@ from omad.model.fitting.energy import RefinementConfig
 from omad.model.fitting.leaning import leaning
 from omad.model.fitting.refinement import Refiner, free_directions
 from omad.model.omadnet import OmadNet
+from omad.model.priornet import PriorNet
 from omad.sensing.observation import Observation
 from omad.training.held_back import HeldBack, split
 from omad.training.loop import Schedule, train
@@ -29,6 +30,13 @@ def test_few_objects_are_all_trained_on_and_many_give_a_few():
         assert len(kept) == held
         assert {*seen} | {*kept} == {*names}
         assert not {*seen} & {*kept}
+
+
+def test_of_variants_that_take_turns_no_model_is_held_back_whole():
+    for own in range(2, 61):
+        seen, kept = split([index % own for index in range(300)])
+        assert {*seen} == {*range(own)}
+        assert len({*kept}) > min(own, len(kept)) / 3
 
 
 @pytest.fixture(scope="module")
@@ -109,3 +117,10 @@ def test_priors_are_watched(tmp_path):
     row = json.loads((tmp_path / "metrics.jsonl").read_text().splitlines()[-1])
     assert row["held back, keypoints"] > 0
     assert row["held back, pivots"] > 0
+
+
+def test_a_prior_to_fine_tune_begins_with_betas_of_its_own_basis(tmp_path):
+    initial = load(PriorNet, find_weights("laptop") / "prior")
+    settings = PriorTraining(Schedule(steps=1, batch=16, log_steps=1))
+    train_prior([generate(LAPTOP, index) for index in range(8)], LAPTOP, tmp_path, settings, initial=initial)
+    assert json.loads((tmp_path / "metrics.jsonl").read_text())["order"] < 0.15

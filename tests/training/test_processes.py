@@ -117,6 +117,7 @@ def test_half_precision_is_the_backbones_alone():
     found = backbone(cloud)
     assert (found.dense.dtype, found.pooled.dtype) == (torch.float32, torch.float32)
     assert not torch.equal(found.pooled, plain.pooled)
+    assert torch.equal(backbone.pooled(cloud), found.pooled)
     off = (found.pooled - plain.pooled).norm() / plain.pooled.norm()
     assert off < 0.02  # eight bits of each number, and neighbours that are the same
     with pytest.raises(InputError, match="--precision bf16"):

@@ -66,7 +66,10 @@ class MeshBank(SurfaceBank):
         place of every cell of the picture, which lies over the bounding sphere as that of ``visible``, (B, CELLS^2, 3);
         whether a surface is there, at a larger cosine than ``steepest`` (B,); its part. Where none is, a corner is."""
         across, batch = FINE * CELLS, len(indices)
-        shift, rank = torch.rand(batch, 2, generator=draw).numpy(), torch.rand(batch, across, across, generator=draw)
+        shift, rank = (
+            torch.rand(batch, *size, device=points.device, generator=draw).cpu().numpy()
+            for size in ((2,), (across, across))
+        )
         corners, middle = points.cpu().numpy(), centre.cpu().numpy()
         focal = across / 2 / (PERSPECTIVE * radius.cpu().numpy() / middle[:, 2])
         origin = across / 2 - shift - focal[:, None] * middle[:, :2] / middle[:, 2:]
@@ -75,7 +78,7 @@ class MeshBank(SurfaceBank):
             f, (cx, cy) = float(focal[b]), origin[b].tolist()
             faces, labels = self.faces[index], self.labels[index].cpu().numpy()
             view = rasterise(corners[b], faces, labels[faces[:, 0]], Camera(across, across, f, f, cx, cy))
-            shown.append(_a_place_each(view, rank[b].numpy(), f, origin[b], float(steepest[b]), corners[b]))
+            shown.append(_a_place_each(view, rank[b], f, origin[b], float(steepest[b]), corners[b]))
         places, there, parts = (torch.from_numpy(np.stack(each)).to(points.device) for each in zip(*shown, strict=True))
         return places, there, parts
 

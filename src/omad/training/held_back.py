@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
+import numpy as np
 import torch
 from torch import Generator, Tensor
 
@@ -30,10 +31,11 @@ M = TypeVar("M")
 
 
 def split(models: Sequence[M]) -> tuple[list[M], list[M]]:
-    """Objects to train on, and some that are held back; few objects are all trained on."""
-    held = list(models[:: max(ONE_IN, -(-len(models) // MOST))]) if len(models) >= ONE_IN else []
-    kept = {id(model) for model in held}
-    return [model for model in models if id(model) not in kept], held
+    """Objects to train on, and some that are held back; few objects are all trained on. They are drawn, always alike:
+    variants of models take turns, and one in so many would be of the same model."""
+    count = min(len(models) // ONE_IN, MOST)
+    drawn = sorted(np.random.default_rng(0).choice(len(models), count, replace=False).tolist())
+    return [model for index, model in enumerate(models) if index not in drawn], [models[index] for index in drawn]
 
 
 @dataclass(frozen=True)

@@ -76,7 +76,7 @@ class Processes:
         """From here on the backbone of ``model`` computes in the ``precision``."""
         for module in model.modules() if self.precision == "bf16" else ():
             if isinstance(module, Backbone):
-                module.forward = _in_bf16(module.forward)
+                module.forward, module.pooled = _in_bf16(module.forward), _in_bf16(module.pooled)
 
     def average(self, gradients: Sequence[Tensor]) -> None:
         """Over all processes, in place."""
@@ -196,12 +196,15 @@ def _together() -> Iterator[None]:
         ) from error
 
 
-def _in_bf16(forward: Callable[..., Features]) -> Callable[..., Features]:
-    """A backbone's own ``forward`` with its matrix products in half the bits; what it says has all of them."""
+def _in_bf16(own: Callable[..., Any]) -> Callable[..., Any]:
+    """A backbone's ``own`` forward or pooled with its matrix products in half the bits; what it says has all of
+    them."""
 
-    def shortened(points: Tensor) -> Features:
+    def shortened(points: Tensor) -> Features | Tensor:
         with torch.autocast(points.device.type, torch.bfloat16):
-            said = forward(points)
+            said = own(points)
+        if isinstance(said, Tensor):
+            return said.float()
         return Features(said.centres, said.dense.float(), said.pooled.float())
 
     return shortened

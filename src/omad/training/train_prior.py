@@ -5,11 +5,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
+from omad.common.arrays import as_doubles
 from omad.data.rendering.viewpoints import uniform
-from omad.data.surface_bank import PartSamples, SurfaceBank
+from omad.data.surface_bank import Joints, PartSamples, SurfaceBank
 from omad.geometry.transforms import point_to_line
 from omad.model.object_prior import object_keypoints
 from omad.model.prior import OmadPrior
@@ -21,6 +23,9 @@ from .held_back import split
 from .loop import Schedule, Training, seeded_bank, train_network
 from .losses import coverage_loss, joint_loss, part_chamfer, separation_loss, surface_loss
 from .processes import ALONE, Processes
+
+FOLLOWED = 512
+"""Clouds by which a prior to fine-tune is told its own basis."""
 
 
 @dataclass(frozen=True)
@@ -85,16 +90,20 @@ def train_prior(
     bank = seeded_bank(seen, category, settings.schedule.seed, device)
     held_back = SurfaceBank.from_models(held, category, seed=1).to(device) if held else None
     net = PriorNet(category, generator=torch.Generator().manual_seed(settings.schedule.seed)).to(device)
-    if initial is not None:
-        net.load_state_dict(initial.state_dict())
-
     samples, share = PartSamples.of(bank, len(category.parts)), processes.share(settings.schedule.batch)
 
-    def loss_terms(module: PriorNet, draw: torch.Generator) -> dict[str, Tensor]:
-        indices = torch.randint(len(bank), (share,), device=bank.points.device, generator=draw)
+    def drawn(count: int, draw: torch.Generator) -> tuple[list[Tensor], Joints]:
+        indices = torch.randint(len(bank), (count,), device=bank.points.device, generator=draw)
         scale = uniform(*settings.scale, (len(indices), 3), bank.points, draw)
         clouds = samples.draw(indices, scale, settings.points // len(category.parts), draw)
-        joints = bank.joints(indices, scale)
+        return clouds, bank.joints(indices, scale)
+
+    if initial is not None:
+        net.load_state_dict(initial.state_dict())
+        _follow_basis(net, drawn(FOLLOWED, torch.Generator(bank.points.device).manual_seed(0))[0])
+
+    def loss_terms(module: PriorNet, draw: torch.Generator) -> dict[str, Tensor]:
+        clouds, joints = drawn(share, draw)
         return prior_losses(module, clouds, joints.axes, joints.pivots, settings.weights)
 
     def check(module: PriorNet) -> dict[str, float]:
@@ -103,6 +112,18 @@ def train_prior(
     averaged = train_network(net, loss_terms, settings, models, folder, bank, [initial], check, processes)
     finish_prior(averaged.prior, object_keypoints(averaged, bank), bank, settings.scale)
     return averaged
+
+
+@torch.no_grad()
+def _follow_basis(net: PriorNet, clouds: Sequence[Tensor]) -> None:
+    """Have the shape branch say the betas of the nodes of ``clouds``, as nearly as an affine map of what it says does:
+    it has learned those of another basis, which ``finish_prior`` took away."""
+    out, (weight, bias) = net(clouds), net.shape_head[-1].parameters()
+    said = np.pad(as_doubles(out.beta), ((0, 0), (0, 1)), constant_values=1.0)
+    found = np.linalg.lstsq(said, as_doubles(net.prior.encode(out.nodes)), rcond=1e-6)[0]
+    turn, shift = (torch.as_tensor(each).to(weight) for each in (found[:-1].T, found[-1]))
+    weight.copy_(turn @ weight)
+    bias.copy_(turn @ bias + shift)
 
 
 @torch.no_grad()
@@ -141,7 +162,7 @@ def finish_prior(
         prior.beta_mean.copy_(beta.mean(0))
         prior.beta_covariance.copy_(beta.T.cov())
 
-    objects = bank.scaled(torch.arange(len(nodes), device=device).repeat(draws), stretch)
+    objects = bank.joints(torch.arange(len(nodes), device=device).repeat(draws), stretch)
     layers = nn.ModuleList([prior.joint_hidden, prior.joint_out]).requires_grad_(True)
     optimizer = torch.optim.Adam(layers.parameters(), lr=3e-3)
     decay = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, steps)

@@ -81,7 +81,8 @@ class TrainAll:
         start: dict[str, Any] = net | {"features": None if self.features == "nothing" else self.features}
         start |= {"schedule": self._within(FIRST, longer)}
         last: dict[str, Any] = net | {"refinement_loss": 6.0, "initial": str(first)}
-        last |= {"schedule": self._within(LAST, replace(longer, learning_rate=1e-3))}
+        # of the same seed, it would be shown the same views again
+        last |= {"schedule": self._within(LAST, replace(longer, learning_rate=1e-3, seed=self.seed + 1))}
         made |= {"weights": home, "threads": self.threads}
         confident = max(10 * self.views, 2 * fitting.FEWEST)  # as a part of them shows other things, or too little
         stages = (

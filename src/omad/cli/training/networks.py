@@ -278,6 +278,8 @@ class TrainNet(_NetTraining):
     def run(self) -> Answer:
         if self.features is not None and self.initial is not None:
             raise InputError("--features: does not go with --initial, which takes over all; give one of them")
+        if not 0 <= self.refinement_loss < float("inf"):
+            raise InputError(f"--refinement-loss: must be 0 or more, got {self.refinement_loss:g}")
         begun = self.load_start("--features", self.features)
         start = self.load_start("--initial", self.initial)
         if start is not None and start.category.name != omad.get_category(self.category).name:

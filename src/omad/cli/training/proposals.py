@@ -74,6 +74,7 @@ class TrainProposals:
             start = found["initial"].backbone.config
         elif self.features != "nothing":
             found["features"] = load(OmadNet, find_weights(self.features))
+            start = found["features"].backbone.config
         backbone = get_backbone(self.size, start)
         for name, net in found.items():
             if not backbone.takes_weights_of(net.backbone.config):
