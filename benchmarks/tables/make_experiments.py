@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import tyro
-from make_tables import FIVE, put
+from make_tables import FIVE, each, put
 
 from omad.cli.paper import EvalAblation, EvalTable1, EvalTable2
 from omad.common.errors import InputError
@@ -37,8 +37,9 @@ class Config:
 
 
 def numbers(values: list[float | None], digits: int) -> str:
-    """Of all joints or parts, once where they look the same."""
-    return "; ".join(dict.fromkeys(f"{value:.{digits}f}" for value in values if value is not None)) or "-"
+    """Of all joints or parts, once where all look the same."""
+    told = [f"{value:.{digits}f}" for value in values if value is not None]
+    return each(told) if told else "-"
 
 
 def cells(line: dict[str, Any]) -> list[str]:

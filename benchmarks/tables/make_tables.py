@@ -96,8 +96,8 @@ def cells(errors: dict[str, Any], unit: float) -> str:
 
 
 def each(values: list[str]) -> str:
-    """Values of all joints, once where they are the same."""
-    return "; ".join(dict.fromkeys(values))
+    """Values of all joints, once where all are the same."""
+    return values[0] if len(set(values)) == 1 else "; ".join(values)
 
 
 def spread(error: dict[str, float], factor: float, digits: int) -> str:

@@ -63,6 +63,15 @@ def test_labels_that_are_none_of_the_parts_are_named(folder, change, said):
         list(open_views(folder))
 
 
+def test_what_is_not_labelled_is_not_shown(folder):
+    [path] = folder.rglob("00000.depth.png")
+    alone = next(iter(open_views(folder))).observation()
+    stored = np.array(Image.open(path))
+    stored[stored == 0] = 30_000  # a wall, 3 m away
+    Image.fromarray(stored).save(path)
+    assert np.array_equal(next(iter(open_views(folder))).observation().points, alone.points)
+
+
 def test_an_object_that_is_listed_twice_is_named(folder):
     path = folder / "dataset.json"
     record = json.loads(path.read_text())

@@ -14,6 +14,7 @@ from omad.data.procedural import generate
 from omad.data.rendering.spoils.scenes import random_camera
 from omad.data.rendering.spoils.spoil import Spoil
 from omad.data.rendering.spoils.thinned import FEWEST, thinned_spoil
+from omad.data.rendering.standard_views import standard_view
 from omad.estimation.confidence.model import Confidence, FittedTo, deviations
 from omad.estimation.confidence.signals import IMAGE, JOINT, WITHOUT_FRONT, Signals
 from omad.evaluation.calibration import area_under_roc, expected_calibration_error
@@ -197,3 +198,11 @@ def test_an_object_is_seen_by_every_camera_stretched_or_not(monkeypatch: pytest.
     for index in range(500):
         assert views._example(models, LAPTOP, (0, index)) is None
     assert len(shown) == len(models) * 2 * 2
+
+
+def test_views_to_learn_from_are_not_those_to_measure_on():
+    model = generate(LAPTOP, 0)
+    seen = [one.view for one in examples([model], LAPTOP, 4, seed=0) if one.of_category]
+    measured_on = [standard_view(model, LAPTOP, (*view.seed[:2], 0)) for view in seen]
+    assert seen
+    assert not any(np.allclose(a.states, b.states) for a, b in zip(seen, measured_on, strict=True))

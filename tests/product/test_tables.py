@@ -45,6 +45,11 @@ def test_what_retrieval_says_is_a_table():
     assert "50.0 ± 50.0" in row
 
 
+def test_values_of_joints_stand_for_all_or_for_each():
+    assert make_tables.each(["1", "1", "1"]) == "1"
+    assert make_tables.each(["1", "2", "1"]) == "1; 2; 1"
+
+
 def test_how_far_answers_go_is_told_as_the_weights_have_it():
     text = make_tables.SURFACES.read_text(encoding="utf-8")
     assert replaced(text, "shares", make_tables.shares_table()) == text

@@ -57,7 +57,7 @@ class Placed:
     states: np.ndarray
     """(J,) radians or metres at the size it has here; of other things (0,)."""
     visible: float
-    """Share of it that nothing hides and no border cuts off."""
+    """Share of its pixels that nothing hides; what a border cuts off has none."""
 
     @property
     def to_be_found(self) -> bool:

@@ -11,7 +11,8 @@
 With clutter the views are of scenes as cameras see them (``spoils``); what is wrong with each, its ``spoil`` says:
 
     <folder>/<object>/00000.json           also camera, which differs from view to view, and spoil
-    <folder>/<object>/00000.mask.png       255 where the object is said to be, rightly or not
+    <folder>/<object>/00000.mask.png       255 where the object is said to be, rightly or not;
+                                           without the file, where it is labelled
     <folder>/<object>/00000.instances.png  0 table or wall, 1 the object, from 2 other things, 255 = nothing
 
 Every file depends on the arguments alone: not on the number of processes, nor on interruptions.
@@ -40,6 +41,7 @@ from omad.sensing.depth_files import read_depth
 
 from ..broken import Broken, passing_over
 from .depth_noise import NoiseLevel
+from .rasteriser import NOTHING
 from .spoils.spoiling import cluttered
 from .standard_views import ObjectTruth, View, ViewSeed, standard_view, view_seed
 from .stored_images import where_stored, write_depth, write_png
@@ -104,9 +106,9 @@ class ViewFolder:
         labels = read_image(file := stem.with_suffix(".labels.png"), file)
         camera = self.camera if record.camera is None else record.camera
         mask_file = stem.with_suffix(".mask.png")
-        mask = read_image(mask_file, mask_file) > 0 if mask_file.exists() else None
-        images = [depth, labels] if mask is None else [depth, labels, mask]
-        for image in images:
+        # frames of one's own may show more than the object
+        mask = read_image(mask_file, mask_file) > 0 if mask_file.exists() else labels != NOTHING
+        for image in (depth, labels, mask):
             if image.shape != (camera.height, camera.width):
                 sizes = f"an image of {image.shape[::-1]} pixels for a camera of {camera.width, camera.height}"
                 raise InputError(f"{stem}: {sizes}; give all images the camera's size, or render the view again")

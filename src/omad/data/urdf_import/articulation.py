@@ -220,8 +220,8 @@ def _sorted_tree(path: Path, robot: Any) -> tuple[str, list[Any]]:
         raise InputError(f"{path}: no links; give a URDF with at least one")
     for joint in robot.joints:
         if joint.type != "fixed" and joint.type not in _JOINT_TYPES:
-            known = ", ".join([*_JOINT_TYPES, "fixed"])
-            raise InputError(f"{path}: joint {joint.name!r} has the type {joint.type!r}; supported are {known}")
+            cure = f"give {', '.join(_JOINT_TYPES)}, or fixed, as where the object hangs on the world by it"
+            raise InputError(f"{path}: joint {joint.name!r} has the type {joint.type!r}; {cure}")
         for end in (joint.parent, joint.child):
             if end not in links:
                 raise InputError(f"{path}: joint {joint.name!r} names the link {end!r}, which is not in the file")

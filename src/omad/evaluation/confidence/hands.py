@@ -19,7 +19,7 @@ from omad.objects.model import ObjectModel
 
 from ..evaluate import true_pose
 from ..metrics import pose_errors
-from .views import examples
+from .views import APART, examples
 
 BATCH = 32
 DECAY = 3e-3
@@ -47,7 +47,7 @@ def _shut(models: Sequence[ObjectModel], category: Category, views: int, seed: i
     well seen tells it."""
     for index in range(views):
         model = nearly_at_rest(models[index % len(models)], np.random.default_rng((seed, index)))
-        yield standard_view(model, category, (seed, index), ON)
+        yield standard_view(model, category, (seed, index, APART), ON)
 
 
 def logistic(inputs: np.ndarray, true: np.ndarray) -> tuple[float, ...]:

@@ -23,6 +23,7 @@ from omad.objects.model import ObjectModel
 from ..evaluate import true_pose
 from ..metrics import pose_errors
 from ..shape import surface_distances
+from .views import APART
 
 TRIED = np.array([0.0, 0.25, 0.5, 0.75, 1.0])
 SURE = 1.64
@@ -95,7 +96,7 @@ def _errors(estimate: Estimate, view: View) -> np.ndarray:
 def _views(models: Sequence[ObjectModel], category: Category, count: int, seed: int) -> Iterator[View]:
     """Clean and spoilt by turns; those that show too little are left out."""
     for index in range(count):
-        model, drawn = models[index % len(models)], (seed, index)
+        model, drawn = models[index % len(models)], (seed, index, APART)
         try:
             view = standard_view(model, category, drawn) if index % 2 == 0 else thinly_spoilt(model, category, drawn)
             if view is not None:
