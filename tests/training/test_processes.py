@@ -184,8 +184,8 @@ def test_where_one_is_killed_all_end_and_little_is_lost(killed, tmp_path):
     wait_for(lambda: not Path(f"/proc/{other}").exists(), 60)
     assert process.returncode != 0
     if killed == "another":
-        [line] = [line for line in said.splitlines() if not line.startswith("step ")]
-        assert "another process of this training ended" in line
+        assert said.count("another process of this training ended") == 1  # PyTorch may speak of the connection, too
+        assert "Traceback" not in said
     state = torch.load(tmp_path / "state.pt", weights_only=True)
     lost = rows(tmp_path)[-1]["seconds"] - state["seconds"]
     # a step more, as it is saved after the one in which the time has come, and what writing takes on a busy machine
