@@ -173,7 +173,7 @@ def test_confidence_is_trained_into_the_checkpoint(capsys, monkeypatch):
     weights = checkpoint("own", None)
     trained = ["train", "confidence", *LAPTOP, *weights, "--objects", "5"]
     assert "give more" in refused(capsys, *trained, "--views", "8")
-    found = answer(capsys, *trained, "--views", "50")
+    found = answer(capsys, *trained, "--views", "90")
     assert found["checkpoint"] == "own"
     assert 0.7 < found["covered_90"] <= 1
     image = save_png("a.png")
@@ -186,7 +186,7 @@ def test_confidence_is_trained_into_the_checkpoint(capsys, monkeypatch):
     assert second["probability"] == pytest.approx(first["probability"])
     (Path("own") / FILE).write_text("{")
     assert str(Path("own") / FILE) in refused(capsys, "estimate", image, *LAPTOP, *K, *weights)
-    answer(capsys, *trained, "--views", "50")  # the cure that is named
+    answer(capsys, *trained, "--views", "90")  # the cure that is named
     assert (Path("own") / FILE).read_text() == kept
 
 
