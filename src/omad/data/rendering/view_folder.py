@@ -106,9 +106,9 @@ class ViewFolder:
         labels = read_image(file := stem.with_suffix(".labels.png"), file)
         camera = self.camera if record.camera is None else record.camera
         mask_file = stem.with_suffix(".mask.png")
-        # frames of one's own may show more than the object
-        mask = read_image(mask_file, mask_file) > 0 if mask_file.exists() else labels != NOTHING
-        for image in (depth, labels, mask):
+        mask = read_image(mask_file, mask_file) > 0 if mask_file.exists() else None
+        images = [depth, labels] if mask is None else [depth, labels, mask]
+        for image in images:
             if image.shape != (camera.height, camera.width):
                 sizes = f"an image of {image.shape[::-1]} pixels for a camera of {camera.width, camera.height}"
                 raise InputError(f"{stem}: {sizes}; give all images the camera's size, or render the view again")
@@ -119,6 +119,8 @@ class ViewFolder:
         except ValueError as error:
             raise InputError(f"{stem}: {error}") from error
         seed = seed if record.seed is None else record.seed
+        if mask is None and depth[labels == NOTHING].any():  # a frame of one's own, which shows more than the object
+            mask = labels != NOTHING
         return View(truth, depth, labels, camera, record.states, record.T_camera_base, seed, mask)
 
 
