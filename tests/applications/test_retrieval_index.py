@@ -8,11 +8,14 @@ import pytest
 import torch
 
 from helpers.categories import LAPTOP
-from omad.applications.retrieval.index import Entry, ShapeIndex
+from omad.applications.retrieval.index import Entry, Hit, ShapeIndex
+from omad.applications.retrieval.picture import MOST, ranking_figure
 from omad.applications.retrieval.search import ExactSearch
 from omad.applications.retrieval.signature import Signature, Space, check_one_hand, fuse, prior_fingerprint
 from omad.common.errors import InputError
 from omad.model.prior import OmadPrior
+from omad.output.picture import save
+from omad.sensing.observation import Observation
 
 SIZE = LAPTOP.basis_size
 
@@ -353,3 +356,25 @@ def test_what_are_no_signatures_or_entries_is_refused_with_what_to_give():
         with pytest.raises(InputError, match=r"entry: is str; give .*Entry\(name\)"):
             ask()
     assert len(index) == len(index.betas) == len(betas)
+
+
+def test_names_in_a_ranking_stay_over_their_panels(tmp_path, recwarn):
+    names = ["x" * 300, "a_front_door_of_the_kitchen_as_seen_from_the_left_0001", "new\nline\tand 名前"]
+    view = Observation.from_points(np.random.default_rng(0).uniform(0.5, 1.0, (200, 3)))
+    figure = ranking_figure([view], [Hit(Entry(name), 0.1) for name in names], "m")
+    save(figure, tmp_path / "ranking.png")
+    assert not recwarn  # of letters that the font lacks
+    for panel in figure.axes:
+        title, room = panel.title.get_window_extent(), panel.get_window_extent()
+        assert title.width < 1.1 * room.width
+        assert panel.get_title().count("\n") <= 1
+    assert "0001" in figure.axes[2].get_title()
+
+
+def test_a_long_ranking_is_no_taller_than_it_needs_to_be():
+    view = Observation.from_points(np.random.default_rng(0).uniform(0.5, 1.0, (200, 3)))
+    figure = ranking_figure([view], [Hit(Entry(str(number)), 0.1) for number in range(10 * MOST)], "m")
+    titles = [panel.get_title() for panel in figure.axes if panel.get_title()]
+    assert len(titles) == 1 + MOST
+    top = figure.axes[0].get_position().y1
+    assert (1 - top) * figure.get_figheight() < 0.5  # inches above the first row

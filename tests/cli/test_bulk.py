@@ -79,6 +79,8 @@ def test_what_is_wrong_for_all_is_said_at_once(capsys):
     assert "--batch 0" in refused(capsys, *usual, "out.jsonl", "--batch", "0")
     Path("out.jsonl").write_text("precious")
     assert "out.jsonl: is there already" in refused(capsys, *usual, "out.jsonl")
+    np.save("empty.npy", np.zeros((0, 48, 64), dtype=np.float32))
+    assert "empty.npy: holds no image" in refused(capsys, "bulk", "empty.npy", *LAPTOP, *K, "--output", "out2.jsonl")
     os.mkfifo("piped.jsonl.part")
     assert "piped.jsonl.part: is no file" in refused(capsys, *usual, "piped.jsonl")
 

@@ -1,6 +1,7 @@
 """Building, asking and measuring catalogues on the command line; the Siamese baseline learns and is kept."""
 
 import importlib.util
+import io
 import json
 import shutil
 from dataclasses import replace
@@ -14,15 +15,20 @@ from PIL import Image
 from helpers.categories import LAPTOP
 from helpers.command_line import LAPTOP as OF_LAPTOP
 from helpers.command_line import K, answer, cloud, laptop_view, refused, save_png
-from omad.applications.retrieval.index import ShapeIndex
+from omad.applications.retrieval.index import Entry, ShapeIndex
+from omad.applications.retrieval.signature import Space
 from omad.cli.main import run
 from omad.data.procedural import generate
+from omad.data.rendering.standard_views import standard_view
 from omad.evaluation.baselines.siamese import SiameseNet, SiameseTraining, contrastive_losses, train_siamese
 from omad.model.backbones.pointnet2 import PointNet2Config
 from omad.model.checkpoint import WEIGHTS, load, save
 from omad.model.omadnet import OmadNet
+from omad.objects.category_file import get_category
+from omad.sensing.reader import files_in
 from omad.training.loop import Schedule
 
+FAISS = importlib.util.find_spec("faiss") is not None
 TINY = PointNet2Config(points=128, centres=(32, 16), neighbours=(8, 8), widths=(24, 32, 48), dense=32)
 
 
@@ -134,6 +140,60 @@ def test_a_catalogue_of_ones_own_images(capsys):
     assert "images: " in refused(capsys, "index", "build", *OF_LAPTOP, "--output", "new.npz", "--source", "images", *K)
 
 
+@pytest.mark.slow
+def test_a_query_leaves_no_thumbnails_of_an_earlier_one_and_takes_no_file_of_others(capsys):
+    few_entries("index.npz", ["one", "new\nline", "three"])
+    query = ["index", "query", save_png("01.png"), *K, "--index", "index.npz", "--output", "."]
+    depth = Path("01.png").read_bytes()
+    found = answer(capsys, *query, "--count", "3")
+    assert all(Path(hit["thumbnail"]).is_file() for hit in found["ranking"])
+    found = answer(capsys, *query, "--count", "1")
+    assert {path.name for path in Path().glob("*.png")} == {"01.png", "ranking.png", "ranking-01.png"}
+    assert found["ranking"][0]["thumbnail"] == "ranking-01.png"
+    assert Path("01.png").read_bytes() == depth
+    assert run([*query, "--count", "3"]) == 0
+    rows = capsys.readouterr().out.splitlines()
+    assert len(rows) == 6  # head, line, three objects and the picture
+    assert any("new line" in row for row in rows)
+
+
+def few_entries(path: str, names: list[str]) -> None:
+    """A catalogue of laptops around the mean one, with thumbnails."""
+    net = load(OmadNet, WEIGHTS / "laptop")
+    index, thumbnail = ShapeIndex(Space.of(net.prior, LAPTOP)), io.BytesIO()
+    Image.new("RGB", (8, 8)).save(thumbnail, "PNG")
+    betas = net.prior.beta_mean.numpy() + 0.1 * np.arange(len(names))[:, None]
+    index.add_betas(betas, [Entry(name, "", thumbnail.getvalue()) for name in names])
+    index.save(path)
+
+
+@pytest.mark.slow
+def test_what_is_unlike_the_category_is_told_of(capsys):
+    """A cabinet among laptops, and one that is asked for among them."""
+    category = get_category("drawer")
+    view = standard_view(generate(category, 0, "test"), category, (0, 1000))
+    few_entries("index.npz", ["one"])
+    save_png("images/a.png")
+    cabinet = save_png("images/cabinet.png", view.depth)
+    for place, more in (("new.npz", []), *([("disk", ["--backend", "disk"])] if FAISS else [])):
+        made = answer(capsys, "index", "build", *OF_LAPTOP, *K, "--source", "images", "--output", place, *more)
+        assert made["entries"] == 2
+        assert [(doubt["name"], doubt["source"]) for doubt in made["doubtful"]] == [("cabinet", cabinet)]
+        assert made["doubtful"][0]["probability"] < 0.5
+    found = answer(capsys, "index", "query", cabinet, *K, "--index", "index.npz")
+    assert any(warning.startswith(f"{cabinet}: right with probability") for warning in found["warnings"])
+    found = answer(capsys, "index", "query", "images/a.png", *K, "--index", "index.npz")
+    assert not any("doubtful" in warning for warning in found["warnings"])
+
+
+def test_hidden_folders_are_no_objects(capsys):
+    save_png("images/.ipynb_checkpoints/a-checkpoint.png")
+    save_png("images/a.png")
+    assert files_in(Path("images"), "**/[!.]*") == [Path("images/a.png")]
+    save_png(".hidden/b.png")
+    assert files_in(Path(".hidden"), "**/[!.]*") == [Path(".hidden/b.png")]  # which was asked for
+
+
 def test_bad_input_is_one_line(capsys):
     query = ["index", "query", save_png("q.png")]
     assert "nowhere.npz: " in refused(capsys, *query, *K, "--index", "nowhere.npz")
@@ -219,7 +279,7 @@ def test_the_view_is_of_the_object_that_the_tests_take_it_for():
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(importlib.util.find_spec("faiss") is None, reason="FAISS is not installed (extra omad[faiss])")
+@pytest.mark.skipif(not FAISS, reason="FAISS is not installed (extra omad[faiss])")
 def test_a_catalogue_on_disk_is_built_added_to_merged_and_asked(capsys):
     on_disk = ["index", "build", *OF_LAPTOP, "--output", "large", "--backend", "disk"]
     assert answer(capsys, *on_disk, "--objects", "2")["entries"] == 2

@@ -10,8 +10,8 @@ from typing import Any, Literal
 from tyro.conf import OmitArgPrefixes, Positional
 
 import omad
-from omad.common.errors import InputError
-from omad.common.files import check_folder, write_atomic
+from omad.common.errors import InputError, as_line
+from omad.common.files import check_folder, replacing, write_atomic
 from omad.common.lazy import lazy_imports
 from omad.sensing.input_options import InputOptions
 
@@ -49,7 +49,7 @@ with lazy_imports():
     from omad.data.source import kind_of, load_models, load_views
     from omad.data.urdf_import.folder import is_urdf
     from omad.model.checkpoint import find_weights
-    from omad.output.picture import save
+    from omad.output.picture import how_sure, save
     from omad.sensing.reader import InputReader, files_in, input_files
 
 UNITS = {"keypoints": "m", "beta": "", "whitened": "std"}
@@ -99,24 +99,31 @@ class IndexBuild(CategoryCommand):
         names = {entry.name for entry in index.entries}
         record = {"index": str(self.output), "category": index.space.category, "metric": self.metric}
         record |= {"backend": self.backend, "entries": len(index), "objects": len(names), "refused": found.refused}
-        return Answer(record)
+        return Answer(record | {"doubtful": found.doubtful})
 
     def _on_disk(self, estimator: omad.Estimator, space: Space) -> Answer:
-        index, refused = LargeIndex.create(self.output, space), list[dict[str, str]]()
+        index, refused, doubtful = LargeIndex.create(self.output, space), list[dict[str, str]](), list[dict[str, Any]]()
         made = self.source in NAMES or not Path(self.source).is_dir()  # by a generator
         source = f"{everywhere(self.source)} {self.seed}" if made else everywhere(self.source)
         files = [] if kind_of(self.source).images is not None else self._files()
         names = [file.relative_to(self.source).as_posix() for file in files]
-        index.add(self._portions(estimator, index.taken(source), files, refused), source, names)
+        index.add(self._portions(estimator, index.taken(source), files, refused, doubtful), source, names)
         if not len(index):
             raise InputError(f"{self.source}: none of its {len(refused)} inputs can be used; see omad estimate")
         record = {"index": str(self.output), "category": space.category, "metric": self.metric}
-        return Answer(record | {"backend": self.backend, "entries": len(index), "refused": refused})
+        record |= {"backend": self.backend, "entries": len(index), "refused": refused, "doubtful": doubtful}
+        return Answer(record)
 
     def _portions(
-        self, estimator: omad.Estimator, taken: int, files: list[Path], refused: list[dict[str, str]]
+        self,
+        estimator: omad.Estimator,
+        taken: int,
+        files: list[Path],
+        refused: list[dict[str, str]],
+        doubtful: list[dict[str, Any]],
     ) -> Iterator[Portion]:
-        """All that the source holds, depth ``files`` or something else, without its first ``taken`` inputs."""
+        """All that the source holds, depth ``files`` or something else, without its first ``taken`` inputs; what is
+        ``refused`` or ``doubtful`` of it is added to these."""
         folder, category = Path(self.source), estimator.category
         if kind_of(self.source).images is not None:
             views = load_views(self.source, category, 1, 1, self.seed, "off", self.broken, taken)
@@ -125,7 +132,7 @@ class IndexBuild(CategoryCommand):
                 return catalogue.seen_views(some, len(some), self.source, refused)
 
             rest = progress(views.views, views.total, done=taken)
-            return portions_of_inputs(estimator, rest, lambda view: view.object, seen, self.fuse)
+            return portions_of_inputs(estimator, rest, lambda view: view.object, seen, self.fuse, doubtful)
         if files:
             rest = progress(files[taken:], len(files), unit="file", done=taken)
             return portions_of_inputs(
@@ -134,6 +141,7 @@ class IndexBuild(CategoryCommand):
                 lambda file: catalogue.object_of(file, folder),
                 lambda some: self._read(folder, some, refused),
                 self.fuse,
+                doubtful,
             )
         net = prior_of(find_weights(self.weights or self.category), self.device)
         models = load_models(self.source, category, self.objects, "test", self.seed)
@@ -229,12 +237,16 @@ class IndexQuery:
         estimates = estimator(observations)
         signatures = [estimate_signature(estimate, prior) for estimate in estimates]
         warnings = {*check_one_hand(signatures), *(said for estimate in estimates for said in estimate.warnings)}
+        views = zip(files, estimates, strict=True)
+        warnings |= {f"{file}: {how_sure(view)}; omad estimate says why" for file, view in views if view.doubtful}
         signature = fuse(signatures)
         hits = index.search_objects(signature, self.count, self.by_information)
         unit = "std" if self.by_information else UNITS[index.space.metric]
         picture = self.output / "ranking.png"
-        save(ranking_figure(observations, hits, unit), picture)
-        ranking = [self._ranked(hit, self.output / f"{number:02d}.png") for number, hit in enumerate(hits, 1)]
+        with replacing(self.output.glob("ranking-[0-9]*.png")):  # of an earlier query, which may have named more
+            save(ranking_figure(observations, hits, unit), picture)
+            thumbnails = (self.output / f"ranking-{number:02d}.png" for number in range(1, len(hits) + 1))
+            ranking = [*map(self._ranked, hits, thumbnails)]
         if signature.of_other_hand is not None and all(hit.entry.of_other_hand is None for hit in hits):
             cure = "build it anew, or its mirror image counts as the object"
             warnings.add(f"hand: {self.index} says of none of these which hand it is of; {cure}")
@@ -252,9 +264,9 @@ class IndexQuery:
 
 
 def ranking_text(answer: dict[str, Any]) -> str:
-    """What was found, a line an object."""
+    """What was found, a line an object, whose name may hold what would break it."""
     rows = [["", "object", "distance", "source"]]
     for number, found in enumerate(answer["ranking"], 1):
         distance = f"{found['distance']:.4g} {answer['unit']}{MIRRORED * bool(found['mirrored'])}"
-        rows.append([str(number), found["object"], distance, found["source"]])
+        rows.append([str(number), as_line(found["object"]), distance, as_line(found["source"])])
     return "\n".join([table(rows), f"picture: {answer['picture']}", *answer["warnings"]])

@@ -2,6 +2,7 @@
 
 import io
 import math
+import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -15,7 +16,7 @@ from matplotlib.patches import Patch
 from matplotlib.text import Text
 from PIL import Image
 
-from omad.common.errors import InputError
+from omad.common.errors import InputError, as_line
 from omad.common.files import write_atomic
 from omad.data.rendering.rasteriser import NOTHING, Rendering, rasterise, render
 from omad.estimation.estimate import Estimate, chance
@@ -163,7 +164,9 @@ def save(fig: Figure, path: str | Path) -> None:
     kind = Path(path).suffix[1:].lower() or "png"  # without, Matplotlib would choose another name
     if kind not in fig.canvas.get_supported_filetypes():
         raise InputError(f"{path}: no picture is written as .{kind}; give a name that ends in .png, .pdf or .svg")
-    write_atomic(path, lambda temporary: fig.savefig(temporary, dpi=DPI, format=kind))
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph .* missing")  # a box in a title says so, too
+        write_atomic(path, lambda temporary: fig.savefig(temporary, dpi=DPI, format=kind))
 
 
 def plain_texts(fig: Figure) -> None:
@@ -171,7 +174,8 @@ def plain_texts(fig: Figure) -> None:
     for text in fig.findobj(Text):
         assert isinstance(text, Text)
         text.set_parse_math(False)
-        text.set_text(text.get_text().encode("utf-8", "replace").decode())
+        lines = text.get_text().encode("utf-8", "replace").decode().split("\n")
+        text.set_text("\n".join(map(as_line, lines)))
 
 
 def _for_picture(observation: Observation) -> Observation:

@@ -74,22 +74,38 @@ function drawLegend(g, view, {centre, reach, R}, width, height) {  // a scale ba
     g.fillStyle = colour; g.textAlign = "center"; g.fillText("xyz"[j], end[0] + .35 * (end[0] - width + 44), end[1] + .35 * (end[1] - height + 44) + 4);
   });
 }
-function listenToMouse(canvas, eye, redraw) {
-  const start = {...eye};
-  canvas.addEventListener("pointerdown", event => canvas.setPointerCapture(event.pointerId));
-  canvas.addEventListener("pointermove", event => {
-    if (!canvas.hasPointerCapture(event.pointerId)) return;
-    if (event.shiftKey) { eye.x += event.movementX; eye.y += event.movementY; }
+const KEYS = {ArrowLeft: [-10, 0], ArrowRight: [10, 0], ArrowUp: [0, -10], ArrowDown: [0, 10]};  // pixels of a drag
+const ZOOMS = {"+": 1.1, "=": 1.1, "-": 1 / 1.1};
+function listen(canvas, eye, redraw) {  // to mouse, fingers and keys
+  const start = {...eye}, fingers = new Map();
+  const reset = () => { Object.assign(eye, start); redraw(); };
+  const zoom = times => { eye.zoom = Math.max(.2, Math.min(10, eye.zoom * times)); redraw(); };
+  const drag = (shifts, x, y) => {
+    if (shifts) { eye.x += x; eye.y += y; }
     else {
-      eye.yaw -= .01 * event.movementX;
-      eye.pitch = Math.max(-1.57, Math.min(1.57, eye.pitch + .01 * event.movementY));
+      eye.yaw -= .01 * x;
+      eye.pitch = Math.max(-1.57, Math.min(1.57, eye.pitch + .01 * y));
     }
     redraw();
+  };
+  const apart = () => { const [a, b] = fingers.values(); return Math.max(1, Math.hypot(a.x - b.x, a.y - b.y)); };
+  canvas.addEventListener("pointerdown", event => { canvas.setPointerCapture(event.pointerId); fingers.set(event.pointerId, event); });
+  canvas.addEventListener("lostpointercapture", event => fingers.delete(event.pointerId));
+  canvas.addEventListener("pointermove", event => {
+    if (!canvas.hasPointerCapture(event.pointerId)) return;
+    if (fingers.size < 2) return drag(event.shiftKey, event.movementX, event.movementY);
+    const before = apart();
+    fingers.set(event.pointerId, event);
+    zoom(apart() / before);
   });
-  canvas.addEventListener("wheel", event => {
+  canvas.addEventListener("wheel", event => { event.preventDefault(); zoom(Math.exp(-.001 * event.deltaY)); }, {passive: false});
+  canvas.addEventListener("dblclick", reset);
+  canvas.addEventListener("keydown", event => {
+    if (event.ctrlKey || event.altKey || event.metaKey) return;  // the browser's own
+    if (event.key in KEYS) drag(event.shiftKey, ...KEYS[event.key]);
+    else if (event.key in ZOOMS) zoom(ZOOMS[event.key]);
+    else if (event.key === "Home") reset();
+    else return;
     event.preventDefault();
-    eye.zoom = Math.max(.2, Math.min(10, eye.zoom * Math.exp(-.001 * event.deltaY)));
-    redraw();
-  }, {passive: false});
-  canvas.addEventListener("dblclick", () => { Object.assign(eye, start); redraw(); });
+  });
 }

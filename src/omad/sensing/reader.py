@@ -252,9 +252,10 @@ def input_files(paths: Sequence[Path]) -> list[Path]:
 
 def files_in(folder: Path, pattern: str = "[!.]*") -> list[Path]:
     """Depth images and clouds in a folder, without the masks and labels of ``omad render``; ``**/[!.]*``: in its
-    sub-folders, too."""
+    sub-folders, too, but for hidden ones."""
     known = (path for path in folder.glob(pattern) if path.suffix.lower() in KNOWN and not is_companion(path))
-    return sorted(path for path in known if path.is_file())
+    seen = (path for path in known if not any(part[0] == "." for part in path.relative_to(folder).parts))
+    return sorted(path for path in seen if path.is_file())
 
 
 def _existing(file: Path) -> None:

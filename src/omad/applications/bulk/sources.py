@@ -196,6 +196,8 @@ def _stack_in(path: Path, key: str, named: bool = False) -> np.ndarray | None:
 def _stack(path: Path, depths: np.ndarray, masks: np.ndarray | None, reader: InputReader) -> Source:
     if masks is not None and masks.shape != depths.shape:
         raise InputError(f"{path}: its shape is {depths.shape}, that of its masks {masks.shape}; give one for each")
+    if not len(depths):
+        raise InputError(f"{path}: holds no image; give a stack (N, H, W) of depth images")
     if isinstance(reader.mask, Path):
         raise InputError(f"--mask {reader.mask}: is a folder, but {path} a stack; give a stack of masks (N, H, W)")
     if masks is None:

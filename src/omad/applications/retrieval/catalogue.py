@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -40,6 +41,8 @@ class Catalogued:
     entries: list[Entry] = field(default_factory=list)
     refused: list[dict[str, str]] = field(default_factory=list)
     """Name and reason of each."""
+    doubtful: list[dict[str, Any]] = field(default_factory=list)
+    """Name, source and probability of entries that are rather wrong than right: all of their views are doubtful."""
 
 
 def from_models(net: PriorNet, models: Sequence[ObjectModel], source: str) -> Catalogued:
@@ -58,16 +61,24 @@ def from_observations(estimator: Estimator, seen: Iterable[Seen], fused: bool, b
     with the picture of its first one."""
     prior, found = prior_fingerprint(estimator.net.prior, estimator.category), Catalogued()
     rows: dict[str, list[int]] = {}
+    doubted: list[float | None] = []
     for some in batched(seen, batch):
         for thing, estimate in zip(some, estimator([thing.observation for thing in some]), strict=True):
             rows.setdefault(thing.name, []).append(len(found.entries))
+            doubted.append(estimate.probability if estimate.doubtful else None)
             signature = estimate_signature(estimate, prior)
             found.signatures.append(signature.in_mirror() if thing.mirrored else signature)
             found.entries.append(Entry(thing.name, thing.source, _thumbnail(thing, estimate)))
+    groups = [*rows.values()] if fused else [[row] for row in range(len(found.entries))]
+    for own in groups:
+        doubts = [low for row in own if (low := doubted[row]) is not None]
+        if len(doubts) == len(own):
+            entry = found.entries[own[0]]
+            found.doubtful.append({"name": entry.name, "source": entry.source, "probability": max(doubts)})
     if not fused:
         return found
-    signatures = [fuse([found.signatures[row] for row in own]) for own in rows.values()]
-    return Catalogued(signatures, [found.entries[own[0]] for own in rows.values()])
+    signatures = [fuse([found.signatures[row] for row in own]) for own in groups]
+    return replace(found, signatures=signatures, entries=[found.entries[own[0]] for own in groups])
 
 
 def _thumbnail(thing: Seen, estimate: Estimate) -> bytes:

@@ -7,6 +7,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from PIL import Image
 
+from omad.common.errors import as_line
 from omad.common.incoming import read_image
 from omad.objects.model import ObjectModel
 from omad.output.contact_sheet import picture
@@ -18,6 +19,12 @@ from .index import Hit
 SIZE = 224
 """Pixels across a thumbnail, where there is so much to see."""
 COLUMNS = 6
+WIDTH, HEIGHT, HEAD = 2.2, 2.8, 0.4
+"""Inches of a panel with the title over it, and of the first row's title."""
+MOST = 60
+"""Entries in a picture."""
+LETTERS = 34
+"""Of a name that there is room for over a panel."""
 
 
 def model_thumbnail(model: ObjectModel) -> bytes:
@@ -31,10 +38,11 @@ def view_thumbnail(observation: Observation) -> bytes:
 
 
 def ranking_figure(observations: Sequence[Observation], hits: Sequence[Hit], unit: str) -> Figure:
-    """The query's views, then the entries found, nearest first; ``unit`` stands behind distances."""
+    """The query's views, then the entries found, nearest first, ``MOST`` of them; ``unit`` stands behind distances."""
+    hits = hits[:MOST]
     count = len(observations) + len(hits)
     columns, rows = min(COLUMNS, count), -(-count // COLUMNS)
-    fig, axes = blank_panels(rows, columns, (2.2 * columns, 2.8 * rows))
+    fig, axes = blank_panels(rows, columns, (WIDTH * columns, HEIGHT * rows))
     axes = axes.ravel()
     for panel, observation in zip(axes, observations, strict=False):
         panel.imshow(_seen(observation))
@@ -43,9 +51,15 @@ def ranking_figure(observations: Sequence[Observation], hits: Sequence[Hit], uni
         if hit.entry.thumbnail:
             panel.imshow(_read(hit.entry.thumbnail))
         mirror = " in the mirror" if hit.mirrored else ""
-        panel.set_title(f"{number}. {hit.entry.name}\n{hit.distance:.3g} {unit}{mirror}", fontsize=7)
-    fig.subplots_adjust(left=0.01, right=0.99, bottom=0.01, top=0.86, wspace=0.05, hspace=0.3)
+        panel.set_title(f"{number}. {_cut(hit.entry.name)}\n{hit.distance:.3g} {unit}{mirror}", fontsize=7)
+    fig.subplots_adjust(left=0.01, right=0.99, bottom=0.01, top=1 - HEAD / (HEIGHT * rows), wspace=0.05, hspace=0.3)
     return fig
+
+
+def _cut(name: str) -> str:
+    """On one line, and without the middle of a long one, whose ends tell it from others."""
+    line = as_line(name)
+    return line if len(line) <= LETTERS else f"{line[: LETTERS // 2 - 1]}…{line[-LETTERS // 2 :]}"
 
 
 def _seen(observation: Observation) -> np.ndarray:

@@ -1,7 +1,7 @@
 """What comes in on its way into a catalogue: a few hundred at a time, never all of it."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from omad.estimation.estimator import Estimator
 from omad.model.priornet import PriorNet
@@ -29,11 +29,13 @@ def portions_of_inputs(
     name_of: Callable[[T], str],
     seen: Callable[[list[T]], Iterable[catalogue.Seen]],
     fused: bool,
+    doubtful: list[dict[str, Any]],
 ) -> Iterator[Portion]:
     """An entry an input, or with ``fused`` one for all inputs of one name that come one after the other. ``seen`` makes
-    observations of inputs, of those that can be used."""
+    observations of inputs, of those that can be used. Entries that are doubtful are added to ``doubtful``, too."""
     for some in _whole_objects(inputs, name_of):
         found = catalogue.from_observations(estimator, seen(some), fused)
+        doubtful += found.doubtful
         yield Portion.of(found.signatures, found.entries, len(some), estimator.net.prior.basis_size)
 
 
