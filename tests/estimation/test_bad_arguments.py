@@ -4,6 +4,7 @@ import multiprocessing
 import os
 from collections import deque
 from contextlib import contextmanager
+from copy import copy
 from dataclasses import replace
 from functools import cache, partial
 
@@ -104,6 +105,23 @@ def test_numbers_of_a_configuration_may_be_of_any_kind_and_in_a_list():
     view = laptop_view().observation()
     listed = Estimator.from_pretrained("laptop", "cpu", EstimatorConfig(samples=[1, 3], batch=np.int64(3)))
     assert np.array_equal(listed(view).keypoints, estimator()(view).keypoints)
+
+
+@pytest.mark.parametrize("seed", [np.int32(3), np.int64(3), np.uint64(3)])
+def test_a_seed_may_be_of_numpys_kinds(seed):
+    view, net = laptop_view().observation(), estimator().net
+    given, expected = Estimator(net, EstimatorConfig(seed=seed)), Estimator(net, EstimatorConfig(seed=3))
+    assert np.array_equal(given(view).keypoints, expected(view).keypoints)
+
+
+def test_joint_states_none_of_which_is_known_are_nothing_known():
+    """Of weights whose answers lean towards the network's own joint states, which those with something known do not."""
+    net = copy(estimator().net)
+    net.own_states = 0.5
+    leaning, view = Estimator(net), laptop_view().observation()
+    found = leaning(view, Known(joint_states=[np.nan]))
+    assert found.joint_states[0] != estimator()(view).joint_states[0]
+    assert np.array_equal(found.joint_states, leaning(view).joint_states)
 
 
 @pytest.mark.parametrize("form", [lambda array: array[::-1].copy()[::-1], lambda array: array.astype(np.longdouble)])

@@ -29,6 +29,13 @@ def test_what_callers_do_to_an_answer_harms_no_other():
         assert np.array_equal(part.mesh.faces, kept)
 
 
+def test_who_keeps_one_answer_keeps_nothing_of_its_batch():
+    view = laptop_view().observation()
+    kept, _ = estimator()([view, view])
+    for array in (kept.covariance, kept.labelled.logits, kept.signals.image, kept.signals.joint, kept.signals.pooled):
+        assert array.base is None
+
+
 def test_the_callers_random_numbers_stay_as_they_were():
     torch.manual_seed(3)
     before = torch.get_rng_state()

@@ -11,7 +11,9 @@ import omad
 from omad.data.procedural import generate
 from omad.data.rendering.depth_noise import LEVELS
 from omad.data.rendering.standard_views import View, standard_view, views_together
+from omad.estimation import estimator as module
 from omad.estimation.estimator import Estimator
+from omad.estimation.several_views import Rig
 from omad.geometry.rigid import carry, rigid, turned_about
 from omad.model.fitting.energy import RefinementConfig
 from omad.model.fitting.refinement import Refiner
@@ -61,6 +63,32 @@ def test_one_view_gives_what_it_gives_alone(estimator, views):
     assert np.abs(alone.joint_states - one.joint_states).max() < 1e-6
     assert np.abs(alone.covariance - one.covariance).max() < 1e-6
     assert alone.warnings == one.warnings
+
+
+def test_one_view_with_an_improbable_answer_is_compared_with_others_too(estimator, views, monkeypatch):
+    monkeypatch.setattr(module, "is_improbable", lambda estimate: True)
+    monkeypatch.setattr(module, "likelier", lambda estimate, others: others[-1])
+    [observation], T = observed(views[:1])
+    alone, [one] = estimator(observation), estimator([observation], T_world_camera=T)
+    assert np.array_equal(alone.keypoints, one.keypoints)
+
+
+@pytest.mark.parametrize("lost", [0, 2])
+def test_a_view_without_numbers_leaves_the_others_their_answer(lost):
+    """Of three views that see the same, and say the same but for one."""
+    place, keypoints = torch.eye(4).repeat(3, 1, 1), torch.randn(3, 5, 3, generator=torch.Generator().manual_seed(0))
+    place[:, :3, 3] = torch.tensor([[0.0, 0.0, -3.0], [1.0, 0.0, -3.0], [2.0, 0.0, -3.0]])
+    keypoints = 0.1 * keypoints[:1].repeat(3, 1, 1)
+    seen, weights = keypoints.clone(), torch.ones(3, 5)
+    keypoints[1 if lost else 2] += 0.01
+    for broken in (keypoints, seen, weights):
+        broken[lost] = torch.nan
+    rig = Rig(place, torch.ones(3, 3, dtype=torch.bool))
+    best, targets = rig.together(Targets(seen, weights), keypoints)
+    assert best.item() == (0 if lost else 1)
+    told = targets.weights.view(5, 3)  # every keypoint once a view in turn
+    assert (told[:, lost] == 0).all()
+    assert (told[:, [view for view in range(3) if view != lost]] > 0).all()
 
 
 def test_one_answer_in_every_cameras_frame(estimator, views):

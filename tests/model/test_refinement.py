@@ -387,7 +387,9 @@ def _first(s: Scene) -> tuple[Targets, State]:
 
 @pytest.mark.parametrize(
     ("settings", "said"), [({"backend": "cuda"}, "auto or torch or kernel"), ({"huber": 0.0}, "above 0, or None"),
-                           ({"huber": float("nan")}, "above 0, or None")]
+                           ({"huber": float("nan")}, "above 0, or None"), ({"prior_weight": -1.0}, "0, or a number"),
+                           ({"prior_weight": np.inf}, "above it"), ({"limit_sigma": 0.0}, "above 0"),
+                           ({"limit_sigma": np.nan}, "above 0")]
 )  # fmt: skip
 def test_settings_that_are_none_are_refused(settings, said):
     with pytest.raises(InputError, match=f"RefinementConfig: {next(iter(settings))} is .*; give .*{said}"):

@@ -87,6 +87,7 @@ class EstimatorConfig:
         object.__setattr__(self, "samples", samples)  # hashable
         if not isinstance(self.seed, Integral) or not 0 <= self.seed < SEEDS:
             raise InputError("EstimatorConfig: seed is a whole number from 0, below 2^64")
+        object.__setattr__(self, "seed", int(self.seed))  # NumPy's own cannot be added to beyond their range
 
     @classmethod
     def fast(cls) -> Self:
@@ -209,9 +210,11 @@ class Estimator:
             raise InputError("T_world_camera: is for several views of one object; give a list of observations with it")
         views = check_observations(views)
         T = relative_poses(poses, len(views))
+        if len(views) == 1:
+            return self(views, known)
         alone = [self._estimate([view], own)[0] for view, own in zip(views, known.seen_from(T), strict=True)]
         rig = Rig.of(T, alone, self.net.prior.learned_basis)
-        return one_answer(self._estimate(views, known, Beginning(rig=rig)), alone) if len(views) > 1 else alone
+        return one_answer(self._estimate(views, known, Beginning(rig=rig)), alone)
 
     def _estimate(
         self, observations: Sequence[Observation], known: Known, begin: Beginning = ANYWHERE

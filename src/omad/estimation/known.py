@@ -46,8 +46,10 @@ class Known:
 
     @property
     def is_nothing(self) -> bool:
-        """Whether all that the fit holds fixed is left out."""
-        return self.beta is None and self.joint_states is None and self.gravity is None
+        """Whether all that the fit holds fixed is left out, or unknown."""
+        if self.beta is not None or self.gravity is not None:
+            return False
+        return self.joint_states is None or bool(np.isnan(as_numpy(self.joint_states)).all())
 
     def mirrored(self) -> Self:
         """Of what is seen in a mirror in the camera's plane x = 0."""

@@ -91,13 +91,15 @@ class Rig:
         views best; and what is ``seen`` (V, M), all in the first camera's frame, as targets (1, M V) of one fit: every
         keypoint V times in turn, without the views that contradict this answer."""
         apart = (keypoints[:, None] - seen.keypoints).norm(dim=-1)
-        cost = (seen.weights.sqrt() * apart).sum((1, 2))
+        cost = (seen.weights.sqrt() * apart).sum(2)
+        lost = cost.diagonal().isnan()  # views without numbers; all others are compared by what they say
+        cost = cost.masked_fill(lost, 0.0).sum(1).masked_fill(lost, torch.inf)
         best = cost.nan_to_num(torch.inf).argmin(keepdim=True)
         agree = ((apart[best[0]].median(-1).values < CONTRADICTS) & self.alike[best[0]]).to(cost)
         agree[best] = 1.0
         lines = keypoints[best].mean(1) - self.T_first_camera[:, :3, 3]
         shared = (correlation(vector_angle(lines[:, None], lines[None])) * agree).sum(1, keepdim=True)
-        weights = seen.weights * agree[:, None] / shared
+        weights = torch.where(agree[:, None] > 0, seen.weights / shared, 0.0)
         return best, Targets(seen.keypoints.transpose(0, 1).reshape(1, -1, 3), weights.mT.reshape(1, -1))
 
     def each(self, found: Refined, prior: OmadPrior, targets: Targets) -> Refined:

@@ -63,8 +63,8 @@ class Signals:
         return replace(self, image=self.image[:, : len(image)])
 
     def rows(self) -> list[Self]:
-        """Each estimate's, batches of one."""
-        return [type(self)(*(values[b : b + 1] for values in vars(self).values())) for b in range(len(self.image))]
+        """Each estimate's, batches of one, which keep none of the others."""
+        return [type(self)(*(each[b : b + 1].copy() for each in vars(self).values())) for b in range(len(self.image))]
 
     @classmethod
     def joined(cls, several: Sequence[Self]) -> Self:

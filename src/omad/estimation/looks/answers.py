@@ -59,6 +59,7 @@ class Answers:
         observed = as_doubles(last.targets.keypoints) * unit
         logits, own_signals = as_numpy(last.part_logits), signals.rows()
         estimates = []
+        # copies of what is large: who keeps one answer keeps nothing of all others
         for b, observation in enumerate(shown.observations):
             doubts = [*size_doubts(observation, category), *network_doubts(keypoint_std[b], category)]
             estimates.append(
@@ -67,10 +68,10 @@ class Answers:
                     category=category,
                     observed_keypoints=observed[b],
                     keypoint_std=keypoint_std[b],
-                    covariance=covariance[b],
+                    covariance=covariance[b].copy(),
                     converged=converged[b],
                     residual=residual[b],
-                    labelled=shown.labelled(b, logits[b]),
+                    labelled=shown.labelled(b, logits[b].copy()),
                     initial=initial[b],
                     signals=own_signals[b],
                     probability=probability[b],

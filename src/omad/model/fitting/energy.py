@@ -7,6 +7,7 @@
 Category units and radians; the unknowns' order is that of ``state``.
 """
 
+import math
 from dataclasses import dataclass
 from typing import Literal, Self, get_args
 
@@ -51,6 +52,10 @@ class RefinementConfig:
             raise InputError(f"RefinementConfig: backend is {self.backend!r}; give {' or '.join(get_args(Backend))}")
         if not (self.huber is None or self.huber > 0):
             raise InputError(f"RefinementConfig: huber is {self.huber}; give a number above 0, or None")
+        if not 0 <= self.prior_weight < math.inf:
+            raise InputError(f"RefinementConfig: prior_weight is {self.prior_weight}; give 0, or a number above it")
+        if not self.limit_sigma > 0:
+            raise InputError(f"RefinementConfig: limit_sigma is {self.limit_sigma}; give a number above 0")
 
     @property
     def termination(self) -> TerminationConfig:
