@@ -15,7 +15,7 @@ from sequences import SequenceConfig, SequenceFrame, render_sequence
 
 import omad
 from helpers.headless_browser import HeadlessBrowser
-from omad.applications.tracking import page
+from omad.applications.tracking import page, pictures
 from omad.applications.tracking.frames import read_times
 from omad.applications.tracking.motion import MotionConfig, MotionFilter, Placement
 from omad.applications.tracking.sequence import TrackedSequence
@@ -200,6 +200,15 @@ def test_an_unseen_object_is_less_and_less_surely_where_it_was(stapler):
     assert told[2] < 0.5 * told[0]
 
 
+def test_a_tracked_joint_is_as_sure_as_each_frame_says(stapler):
+    tracker = omad.Tracker(omad.Estimator.from_pretrained("stapler", "cpu"), TrackerConfig(sure=0.0))
+    first = tracker(stapler[0], 0.0)
+    for tracked, single in zip(first.estimate.joints, first.single.joints, strict=True):
+        assert tracked.interval(0.9) == pytest.approx(single.interval(0.9), abs=1e-3)
+    unseen = tracker(None, 0.3).estimate
+    assert all(b.state_std > a.state_std for a, b in zip(first.estimate.joints, unseen.joints, strict=True))
+
+
 def test_a_line_says_of_which_hand_the_shape_is(stapler):
     estimate = replace(stapler[1], hand_probability=0.75)
     for one in (estimate, estimate.in_mirror()):
@@ -348,6 +357,15 @@ def test_tables_that_say_nothing_are_refused(folder, name, content, said, capsys
     Path("table.csv").write_text(content)
     assert run(["track", str(folder), f"--{name}", "table.csv", *GIVEN]) == 2
     assert said in capsys.readouterr().err
+
+
+def test_a_film_of_a_long_track_has_some_of_its_frames(stapler, monkeypatch):
+    monkeypatch.setattr(pictures, "MOST", 4)
+    observation, film = stapler[0], pictures.Film()
+    for number in range(21):
+        film.add(observation if number % 8 == 0 else None, TrackedEstimate(number / 30, "lost", None))
+    assert len(film.pictures) == 3  # of frames 0, 8 and 16
+    assert all(np.asarray(picture).mean() > 60 for picture in film.pictures)
 
 
 @pytest.mark.parametrize(

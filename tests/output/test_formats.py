@@ -8,6 +8,7 @@ import sys
 import xml.etree.ElementTree as ElementTree
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
@@ -31,7 +32,7 @@ from omad.objects.pose import ObjectPose
 from omad.output.formats import NEED, check_formats
 from omad.output.gltf import save_glb
 from omad.output.ply import part_surfaces, save_ply
-from omad.output.rerun import save_rrd
+from omad.output.rerun import log_frame, save_rrd
 from omad.output.robots.mjcf import save_mjcf
 from omad.output.robots.robot import Robot, link_frames
 from omad.output.robots.urdf import save_robot
@@ -314,6 +315,22 @@ def test_recording_is_read_by_rerun(laptop, tmp_path):
     for entity in ("image/depth", "cloud", "keypoints", "parts/screen", "axes/hinge"):
         assert f"/camera/{entity}" in shown.stdout
     assert "/joints/hinge" in shown.stdout
+
+
+@pytest.mark.parametrize(
+    ("seen", "followed", "gone"),
+    [
+        (True, True, set()),
+        (False, True, {"camera/image", "camera/cloud"}),
+        (False, False, {"camera/image", "camera/cloud", "camera/keypoints", "camera/parts", "camera/axes"}),
+    ],
+)
+def test_a_recording_takes_away_what_a_frame_does_not_show(seen, followed, gone, laptop):
+    rr, stream, (_, observation, estimate, *_) = MagicMock(), MagicMock(), laptop
+    estimate = estimate if seen else estimate.without_labels()
+    log_frame(rr, stream, observation if seen else None, estimate if followed else None, static=False)
+    logged = [call.args for call in stream.log.call_args_list]
+    assert {entity for entity, what in logged if what is rr.Clear.return_value} == gone
 
 
 def test_recording_without_rerun_names_the_cure(laptop, tmp_path, monkeypatch):

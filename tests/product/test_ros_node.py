@@ -16,8 +16,10 @@ from helpers.command_line import laptop_view
 from omad.estimation.estimate import Estimate
 from omad.estimation.estimator import Estimator
 from omad.geometry.rigid import rigid
+from omad.model.surfaces import surfaces
 from omad.sensing.observation import Observation
 
+fit = surfaces.SurfaceFit.of
 PACKAGE = Path(__file__).parents[2] / "ros" / "omad_ros"
 
 
@@ -201,6 +203,17 @@ def test_the_node_answers_each_image(store, published, monkeypatch):
     info.width = 320
     running.answer(depth, info)
     assert published[-1][0] == "error"
+
+
+def test_markers_do_not_wait_for_a_fit_to_the_image(store, published, monkeypatch):
+    node, make = importlib.import_module("omad_ros.node"), importlib.import_module("omad_ros.messages").Messages
+    monkeypatch.setattr(node, "Messages", lambda _, prefix: make({**store.types}, prefix=prefix))
+    fits: list = []
+    monkeypatch.setattr(surfaces.SurfaceFit, "of", lambda *told: fits.append(told) or fit(*told))
+    node.OmadNode().answer(*inputs(store))
+    [shown] = [message.markers for topic, message in published if topic == "markers"]
+    assert len(shown[0].points) > 100
+    assert fits == []
 
 
 def test_images_without_a_time_stamp_were_taken_when_they_came(store, published, monkeypatch):

@@ -197,11 +197,14 @@ class Estimator:
         return self._estimate([observation], known, Beginning(near))[0]
 
     def moved(self, estimate: Estimate, state: Near, covariance: np.ndarray) -> Estimate:
-        """The answer with another shape, pose and joint states, those of a filter say; ``covariance`` (P, P) theirs."""
+        """The answer with another shape, pose and joint states, those of a filter say; ``covariance`` (P, P) theirs, of
+        least squares. Joints' deviations are as much larger or smaller than these say as the answer's own are."""
         turned = state.mirrored() if estimate.of_other_hand else state
         posed = self.answers.posed(turned.start(self.category, self.net.prior.learned_basis))
-        std = state_std(covariance[None], self.category)
-        [moved] = PoseEstimate.of(self.category, posed, std, np.ones_like(std))
+        std, before = (state_std(each[None], self.category) for each in (covariance, estimate.covariance))
+        told, tail = np.array([[(joint.state_std, joint.tail) for joint in estimate.joints]]).transpose(2, 0, 1)
+        std *= np.divide(told, before, out=np.ones_like(std), where=before > 0)
+        [moved] = PoseEstimate.of(self.category, posed, std, tail)
         moved = moved.mirrored(self.category.turning) if estimate.of_other_hand else moved
         return replace(estimate, **vars(moved), covariance=covariance)
 

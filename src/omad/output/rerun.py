@@ -69,12 +69,15 @@ def log_frame(
         log("camera/image/depth", rr.DepthImage(observation.depth, meter=1.0))
         if observation.color is not None:
             log("camera/image/color", rr.Image(observation.color))
+    labelled = observation is not None and estimate is not None and len(estimate.part_labels) == len(observation.points)
+    there = {"image": observation is not None, "cloud": labelled}
+    there |= dict.fromkeys(("keypoints", "parts", "axes"), estimate is not None)
+    for entity in [] if static else [name for name, shown in there.items() if not shown]:
+        log(f"camera/{entity}", rr.Clear(recursive=True))  # which would stay as it was
     if estimate is None:
-        for entity in ("keypoints", "parts", "axes"):
-            log(f"camera/{entity}", rr.Clear(recursive=True))
         return
     colours, part_of = byte_colours(estimate), np.array(estimate.category.part_of_keypoint)
-    if observation is not None and len(estimate.part_labels) == len(observation.points):
+    if observation is not None and labelled:
         seen = np.rint(255 * part_colours(estimate.part_labels)).astype(np.uint8)
         log("camera/cloud", rr.Points3D(observation.points, colors=seen, radii=0.001))
     log("camera/keypoints", rr.Points3D(estimate.keypoints, colors=colours[part_of], radii=0.003))

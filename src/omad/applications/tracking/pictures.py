@@ -22,6 +22,8 @@ UNSEEN = {"lost": ("0.82", "lost"), "coasting": ("0.93", "predicted")}
 """Shades of grey behind the frames that were not used, and what they are called."""
 WIDTH = 480
 """Pixels of a film's frames."""
+MOST = 600
+"""Frames of a film at most: of longer tracks it has every second one, or fourth ..."""
 SOLID = 170
 """Of 255: how much of a pixel is the drawn surface's."""
 Truth = Sequence[list[float] | None]
@@ -68,15 +70,25 @@ class Film:
 
     def __init__(self) -> None:
         self.pictures: list[Image.Image] = []
+        self._every, self._frames = 1, 0
 
     def add(self, observation: Observation | None, tracked: TrackedEstimate) -> None:
         """A frame's colours, or its depth, with the object's surface and axes; a frame without an image is dark."""
+        if self._frames % self._every == 0 and (picture := self._picture(observation, tracked)) is not None:
+            self.pictures.append(picture)
+        self._frames += bool(self.pictures)
+        if len(self.pictures) > MOST:
+            self._every *= 2
+            self.pictures = self.pictures[::2]
+
+    def _picture(self, observation: Observation | None, tracked: TrackedEstimate) -> Image.Image | None:
+        """None before the first image."""
         if observation is None or observation.depth is None or observation.camera is None:
-            if self.pictures:
-                blank = Image.new("RGB", self.pictures[-1].size, (40, 40, 40))
-                ImageDraw.Draw(blank).text((6, 4), tracked.status, fill="white")
-                self.pictures.append(blank)
-            return
+            if not self.pictures:
+                return None
+            blank = Image.new("RGB", self.pictures[-1].size, (40, 40, 40))
+            ImageDraw.Draw(blank).text((6, 4), tracked.status, fill="white")
+            return blank
         scale = WIDTH / observation.camera.width
         corner = 0.5 / scale - 0.5  # pixel centres are at integers
         image = Image.fromarray(frame_image(observation)).resize((WIDTH, round(scale * observation.camera.height)))
@@ -87,7 +99,7 @@ class Film:
         draw.text((6, 4), f"{tracked.time:.1f} s  {tracked.status}", fill="black", stroke_width=2, stroke_fill="white")
         if tracked.estimate is not None:
             _draw_axes(draw, camera, tracked.estimate)
-        self.pictures.append(image)
+        return image
 
     def save(self, path: Path, seconds: float) -> None:
         """Write the GIF; it takes ``seconds``."""

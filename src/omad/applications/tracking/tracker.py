@@ -285,10 +285,10 @@ def _of_one_hand(known: Known, last: Estimate | None) -> Known:
 
 
 def _still_right(estimate: Estimate) -> float:
-    """How likely no joint has moved farther meanwhile than an answer that is right may be off, by its deviations."""
+    """How likely no joint has moved farther meanwhile than a right answer may be off, by its covariance."""
     size = float(np.linalg.norm(np.ptp(estimate.canonical_keypoints, axis=0)))
     most = np.where(estimate.category.turning, RIGHT_ANGLE, RIGHT_SHARE * size)
-    std = np.array([joint.state_std for joint in estimate.joints])
+    std = np.sqrt(estimate.covariance.diagonal()[6 : 6 + len(most)])
     return float(chi2.cdf(np.square(most / np.maximum(std, 1e-9)), 1).prod())
 
 
