@@ -6,11 +6,13 @@ Rooms stand from top to bottom as they may import each other; a dot says how man
 from __future__ import annotations
 
 import ast
+import io
 import textwrap
 import tomllib
 from pathlib import Path
 
 from matplotlib.figure import Figure
+from PIL import Image
 
 DOCS = Path(__file__).parent
 SOURCE = DOCS.parent / "src" / "omad"
@@ -71,4 +73,7 @@ def draw() -> Figure:
 
 
 if __name__ == "__main__":
-    draw().savefig(DOCS / "figures" / "architecture.png", dpi=80)
+    drawn = io.BytesIO()
+    draw().savefig(drawn, dpi=80)
+    few = Image.open(drawn).convert("RGB").quantize(64, dither=Image.Dither.NONE)
+    few.save(DOCS / "figures" / "architecture.png", optimize=True)

@@ -11,8 +11,10 @@ import pytest
 
 import omad
 from helpers.command_line import laptop_view
+from omad.applications import deployment
 from omad.applications.deployment import given
 from omad.applications.deployment import program as program_file
+from omad.cli.main import run
 from omad.common.errors import InputError
 from omad.data.procedural import generate
 from omad.data.rendering.standard_views import standard_view
@@ -279,3 +281,13 @@ def test_without_the_exporter_the_cure_is_named(monkeypatch, tmp_path):
     net = omad.Estimator.from_pretrained("laptop", "cpu").net
     with pytest.raises(InputError, match=r"omad\[deploy\]"):
         network_graph(net).save(tmp_path / "network.onnx")
+
+
+def test_where_nothing_of_the_extra_is_installed_the_cure_is_named(monkeypatch, tmp_path, capsys):
+    for name in ("onnx", "onnxscript", "onnxruntime"):
+        monkeypatch.setitem(sys.modules, name, None)
+    for name in ("export", "program"):
+        monkeypatch.delitem(sys.modules, f"omad.applications.deployment.{name}", raising=False)
+        monkeypatch.delattr(deployment, name, raising=False)
+    assert run(["deploy", "--category", "laptop", "--output", str(tmp_path)]) == 2
+    assert "pip install 'omad[deploy]'" in capsys.readouterr().err

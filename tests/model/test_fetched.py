@@ -124,6 +124,17 @@ def test_any_file_system_of_fsspec(exported):
     assert fetch(exported.as_uri()) == folder  # out of reach: what is kept is used
 
 
+def test_what_a_file_system_lacks_is_no_fault_of_the_address(monkeypatch):
+    fsspec = pytest.importorskip("fsspec", reason="other file systems are an extra: pip install 'omad[remote]'")
+
+    def lacking(*_):
+        raise ImportError("Install s3fs to access S3")
+
+    monkeypatch.setattr(fsspec, "open", lacking)
+    with pytest.raises(InputError, match=r"Install s3fs to access S3\); install what it asks for with pip$"):
+        fetch("s3://bucket/laptop")
+
+
 def test_an_update_that_is_cut_short_leaves_what_was_there(exported):
     pytest.importorskip("fsspec", reason="other file systems are an extra: pip install 'omad[remote]'")
     folder = fetch(exported.as_uri())

@@ -4,6 +4,7 @@ import base64
 import io
 import json
 import re
+import warnings
 from dataclasses import replace
 from functools import cache
 
@@ -24,7 +25,7 @@ from omad.geometry.rigid import carry
 from omad.objects.model import ObjectModel
 from omad.output.frame_image import frame_image
 from omad.output.page import page_text
-from omad.output.picture import MAX_SIDE, PART_COLOURS, axis_segments, figure, part_colours, show
+from omad.output.picture import MAX_SIDE, PART_COLOURS, axis_segments, figure, part_colours, save, show
 from omad.sensing.camera_files import CameraFile
 from omad.sensing.colour_mask import ColourCamera
 from omad.sensing.observation import Observation
@@ -107,6 +108,12 @@ def test_notebooks_display_what_show_returns_and_it_is_written_as_named(tmp_path
     assert Image.open(io.BytesIO(shown._repr_png_())).size[0] > 800
     assert Image.open(tmp_path / "picture").format == "PNG"
     assert [file.name for file in tmp_path.iterdir()] == ["picture"]
+
+
+def test_a_name_in_any_script_is_drawn_without_a_warning(tmp_path):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        save(figure(*seen(), title="深.png"), tmp_path / "estimate.png")
 
 
 def test_colours_lie_under_what_is_drawn():

@@ -81,6 +81,11 @@ def test_versions_agree(name):
     assert own["project"]["optional-dependencies"][name] == [f"omad-{name}=={__version__}"]
 
 
+@pytest.mark.parametrize("name", APART)
+def test_wheels_of_weights_bear_the_licence(name):
+    assert (ROOT / APART[name] / "LICENSE").read_text() == (ROOT / "LICENSE").read_text()
+
+
 @pytest.mark.parametrize("name", ["test", "release"])
 def test_workflows_are_well_formed(name):
     workflow = yaml.safe_load((ROOT / f".github/workflows/{name}.yml").read_text())

@@ -255,6 +255,15 @@ def test_the_launch_file_takes_what_the_node_takes(published, monkeypatch):
     assert asked == [Path("laptop")]  # a path: the folder, not the shipped category of its name
 
 
+def test_the_launch_file_gives_the_node_a_namespace(monkeypatch):
+    stand_in_for_launch(monkeypatch)
+    found = {}
+    monkeypatch.setattr(sys.modules["launch_ros.actions"], "Node", lambda **given: found.update(given))
+    monkeypatch.setattr(sys.modules["launch.substitutions"], "LaunchConfiguration", str)
+    runpy.run_path(str(PACKAGE / "launch" / "omad.launch.py"))["generate_launch_description"]()
+    assert found["namespace"] == "namespace"
+
+
 def stand_in_for_launch(monkeypatch) -> None:
     """Stands for the packages launch and launch_ros, which pip does not have."""
 

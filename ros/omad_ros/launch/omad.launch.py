@@ -17,6 +17,8 @@ def generate_launch_description() -> LaunchDescription:
     told = [DeclareLaunchArgument(name, default_value=topic) for name, topic in TOPICS.items()]
     told += [DeclareLaunchArgument(name, default_value=value) for name, value in PARAMETERS.items()]
     parameters = {name: ParameterValue(LaunchConfiguration(name), value_type=TYPES[name]) for name in PARAMETERS}
-    remappings = [(name, LaunchConfiguration(name)) for name in TOPICS]
-    node = Node(package="omad_ros", executable="omad_node", parameters=[parameters], remappings=remappings)
+    told.append(DeclareLaunchArgument("namespace", default_value=""))
+    settings = {"parameters": [parameters], "remappings": [(name, LaunchConfiguration(name)) for name in TOPICS]}
+    space = LaunchConfiguration("namespace")
+    node = Node(package="omad_ros", executable="omad_node", namespace=space, **settings)
     return LaunchDescription([*told, node])

@@ -12,7 +12,7 @@ from omad.geometry.camera import STANDARD_CAMERA, Camera
 from omad.geometry.rigid import bounding_sphere
 from omad.objects.model import ObjectModel
 
-from .picture import blank_panels, plain_texts, shaded
+from .picture import blank_panels, lay_out, shaded
 
 AZIMUTH, ELEVATION = math.radians(35), math.radians(25)
 COLUMNS = 6
@@ -33,8 +33,7 @@ def contact_sheet(models: Sequence[ObjectModel]) -> Figure:
         panels[2 * row, column].set_title(model.name, fontsize=8)
     left = f"; {len(models) - len(shown)} more are not shown" if len(models) > len(shown) else ""
     fig.suptitle(f"{models[0].category}: at rest; below, joints as far as they go{left}")
-    plain_texts(fig)
-    fig.tight_layout(rect=(0, 0, 1, 0.98))
+    lay_out(fig, (0, 0, 1, 0.98))
     return fig
 
 

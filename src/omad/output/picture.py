@@ -3,7 +3,8 @@
 import io
 import math
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -120,8 +121,7 @@ def figure(observation: Observation, estimate: Estimate, truth: ObjectPose | Non
         panel.set(xlim=(left, right), ylim=(bottom, top), aspect="equal")
     states = ", ".join(map(str, estimate.joints))
     fig.suptitle("\n".join(filter(None, [title, states, how_sure(estimate)])))
-    plain_texts(fig)
-    fig.tight_layout()
+    lay_out(fig)
     return fig
 
 
@@ -130,7 +130,8 @@ class Picture(Figure):
 
     def _repr_png_(self) -> bytes:
         drawn, stored = io.BytesIO(), io.BytesIO()
-        self.savefig(drawn, format="png", dpi=DPI)
+        with _any_script():
+            self.savefig(drawn, format="png", dpi=DPI)
         Image.open(drawn).convert("RGB").quantize(128).save(stored, "PNG", optimize=True)  # notebooks keep it
         return stored.getvalue()
 
@@ -164,9 +165,23 @@ def save(fig: Figure, path: str | Path) -> None:
     kind = Path(path).suffix[1:].lower() or "png"  # without, Matplotlib would choose another name
     if kind not in fig.canvas.get_supported_filetypes():
         raise InputError(f"{path}: no picture is written as .{kind}; give a name that ends in .png, .pdf or .svg")
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "Glyph .* missing")  # a box in a title says so, too
+    with _any_script():
         write_atomic(path, lambda temporary: fig.savefig(temporary, dpi=DPI, format=kind))
+
+
+def lay_out(fig: Figure, rect: tuple[float, float, float, float] = (0, 0, 1, 1)) -> None:
+    """Its texts as they stand, and its panels side by side within ``rect``."""
+    plain_texts(fig)
+    with _any_script():
+        fig.tight_layout(rect=rect)
+
+
+@contextmanager
+def _any_script() -> Iterator[None]:
+    """Letters that the font lacks are drawn as boxes, and no warning tells of each."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph", UserWarning)
+        yield
 
 
 def plain_texts(fig: Figure) -> None:

@@ -3,7 +3,6 @@
 from pathlib import Path
 
 import numpy as np
-import trimesh
 
 from omad.common.files import write_atomic
 from omad.estimation.estimate import Estimate
@@ -47,6 +46,8 @@ def save_ply(
 ) -> list[Path]:
     """Write ``object.ply`` (all parts, coloured) and ``part-<name>.ply`` each: ``frame``, metres, estimated state,
     so that they lie on the observed cloud. Returns the files."""
+    import trimesh  # slow to import
+
     folder, parts = Path(folder), {}
     places = frame.T_frame_camera @ estimate.T_camera_part
     of_parts = part_surfaces(estimate, observation), places, byte_colours(estimate)

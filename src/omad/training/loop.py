@@ -243,7 +243,8 @@ class MetricLog:
 
             self.board = SummaryWriter(str(folder), purge_step=first_step)
         except ImportError:
-            print("tensorboard is not installed: metrics go to metrics.jsonl only", file=sys.stderr)
+            what = "metrics go to metrics.jsonl only, as tensorboard is not installed (pip install 'omad[train]')"
+            print(what, file=sys.stderr)
             self.board = None
 
     def write(

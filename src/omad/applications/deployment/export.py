@@ -19,7 +19,7 @@ from omad.model.omadnet import OmadNet
 from omad.sensing import point_choice
 from omad.sensing.observation import MIN_POINTS
 
-from . import choice, given, program
+from . import choice, given
 from .graphs import energy_graph, hand_graph, network_graph
 
 NUMBERS, PROGRAM, NEEDS = "estimator.json", "estimate.py", "requirements.txt"
@@ -42,7 +42,8 @@ def deploy(estimator: Estimator, folder: Path) -> list[str]:
         graphs.append(HAND)
     else:
         (folder / HAND).unlink(missing_ok=True)  # of another deployment: the program takes what is there
-    source = Path(program.__file__).read_text(encoding="utf-8")
+    # not imported, as that takes ONNX Runtime
+    source = Path(__file__).with_name("program.py").read_text(encoding="utf-8")
     for name, module in BESIDE.items():
         source = source.replace(f"from {module.__name__} import", f"from {name} import")
         write_text(folder / f"{name}.py", Path(str(module.__file__)).read_text(encoding="utf-8"))

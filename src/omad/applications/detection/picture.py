@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 
 from omad.data.rendering.rasteriser import render
 from omad.estimation.estimate import chance
-from omad.output.picture import blank_panels, camera_around, draw_points, part_colours, plain_texts, shaded
+from omad.output.picture import blank_panels, camera_around, draw_points, lay_out, part_colours, shaded
 from omad.sensing.observation import Observation
 
 from .detector import Detection, called
@@ -45,6 +45,5 @@ def figure(frame: Observation, detections: Sequence[Detection], title: str = "")
     seen.set_title("found")
     estimated.set_title("estimated objects")
     fig.suptitle(title)
-    plain_texts(fig)
-    fig.tight_layout()
+    lay_out(fig)
     return fig

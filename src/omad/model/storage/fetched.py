@@ -138,9 +138,9 @@ def _read(address: str, most: int) -> bytes:
         raise
     except Exception as error:  # whatever a file system raises
         reason = getattr(error, "reason", None) or error
-        raise InputError(
-            f"{address}: cannot be fetched ({type(error).__name__}: {reason}); check the address"
-        ) from error
+        missing = isinstance(error, ImportError)  # fsspec is there, what it needs for such addresses is not
+        cure = "install what it asks for with pip" if missing else "check the address"
+        raise InputError(f"{address}: cannot be fetched ({type(error).__name__}: {reason}); {cure}") from error
     if len(content) > most:
         raise InputError(f"{address}: is larger than {most} bytes; check the address")
     return content

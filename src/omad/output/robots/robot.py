@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-import trimesh
 
 from omad.estimation.estimate import Estimate
 from omad.geometry.convex.bodies import united
@@ -46,6 +45,8 @@ class Solid:
     def of(cls, mesh: Mesh | None) -> Solid:
         """Of what closed solids enclose, once where they overlap; of a small box where there is none: simulators need
         some mass."""
+        import trimesh  # slow to import
+
         solid = trimesh.creation.box(extents=[EMPTY] * 3)
         if mesh is not None:
             surface = united(mesh)
