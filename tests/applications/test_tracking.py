@@ -209,6 +209,22 @@ def test_a_tracked_joint_is_as_sure_as_each_frame_says(stapler):
     assert all(b.state_std > a.state_std for a, b in zip(first.estimate.joints, unseen.joints, strict=True))
 
 
+@pytest.mark.parametrize(("probability", "status"), [(0.95, "tracking"), (0.6, "lost"), (None, "lost")])
+def test_probable_answers_start_tracks_even_where_keypoints_are_hard_to_tell(stapler, probability, status):
+    """As on shut chests."""
+    observation, found = stapler
+    unit = found.category.metres_per_unit
+    unsure = replace(found, probability=probability, keypoint_std=np.full_like(found.keypoint_std, 0.2 * unit))
+    assert unsure.expected_error > TrackerConfig().worst_std * unit
+
+    class Unsure(omad.Estimator):
+        def __call__(self, *_):
+            return unsure
+
+    tracker = omad.Tracker(Unsure(omad.Estimator.from_pretrained("stapler", "cpu").net))
+    assert tracker(observation, 0.0).status == status
+
+
 def test_a_line_says_of_which_hand_the_shape_is(stapler):
     estimate = replace(stapler[1], hand_probability=0.75)
     for one in (estimate, estimate.in_mirror()):
