@@ -214,6 +214,7 @@ def test_the_file_says_what_was_put_into_it(checkpoint: Path) -> None:
         (lambda text: text.replace('"laptop"', '"drawer"'), "is for drawer, not for laptop"),
         (lambda text: text.replace('"misfit"', '"mischief"'), "of another version"),
         (lambda text: text.replace('"weights": "', '"weights": "0'), "other weights"),
+        (lambda text: text.replace('"shared": 0.5', '"shared": 1.5'), "shared is 1.5"),
     ],
 )
 def test_a_damaged_file_is_refused(checkpoint: Path, damage, told: str) -> None:

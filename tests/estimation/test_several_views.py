@@ -83,7 +83,7 @@ def test_a_view_without_numbers_leaves_the_others_their_answer(lost):
     keypoints[1 if lost else 2] += 0.01
     for broken in (keypoints, seen, weights):
         broken[lost] = torch.nan
-    rig = Rig(place, torch.ones(3, 3, dtype=torch.bool))
+    rig = Rig(place, torch.ones(3, 3, dtype=torch.bool), 0.5)
     best, targets = rig.together(Targets(seen, weights), keypoints)
     assert best.item() == (0 if lost else 1)
     told = targets.weights.view(5, 3)  # every keypoint once a view in turn
@@ -131,6 +131,18 @@ def test_other_sides_make_it_surer(estimator):
         together.append(estimator(observations, T_world_camera=T)[0].joints[0].state_std)
     assert np.mean(together) < np.mean(alone)
     assert np.mean(together) > np.mean(np.min(alone, axis=1)) / np.sqrt(3)
+
+
+def test_what_is_of_the_object_no_further_view_tells(estimator, views, monkeypatch):
+    observations, T = observed(views)
+    told = []
+    for shared in (0.0, 0.5, 1.0):
+        monkeypatch.setattr(estimator.answers, "shared", shared)
+        found = estimator(observations, T_world_camera=T)[0]
+        told.append((found.joints[0].state_std, np.sqrt(found.covariance[6, 6])))
+    less, half, none = np.array(told)
+    assert (less < 0.95 * half).all()
+    assert (half < 0.95 * none).all()
 
 
 def test_a_view_from_elsewhere_is_left_out_and_named(estimator, views):

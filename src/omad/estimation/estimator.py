@@ -216,8 +216,9 @@ class Estimator:
         if len(views) == 1:
             return self(views, known)
         alone = [self._estimate([view], own)[0] for view, own in zip(views, known.seen_from(T), strict=True)]
-        rig = Rig.of(T, alone, self.net.prior.learned_basis)
-        return one_answer(self._estimate(views, known, Beginning(rig=rig)), alone)
+        shared = self.answers.shared
+        rig = Rig.of(T, alone, shared, self.net.prior.learned_basis)
+        return one_answer(self._estimate(views, known, Beginning(rig=rig)), alone, shared)
 
     def _estimate(
         self, observations: Sequence[Observation], known: Known, begin: Beginning = ANYWHERE

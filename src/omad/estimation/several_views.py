@@ -22,7 +22,7 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
 
-from omad.common.arrays import numbers
+from omad.common.arrays import as_doubles, numbers
 from omad.common.errors import InputError
 from omad.common.runtime import undisturbed
 from omad.geometry.rigid import is_rigid
@@ -35,12 +35,10 @@ from .checks import Check
 from .estimate import Estimate
 from .joint_estimate import JointEstimate
 
-SHARED = 0.5
-"""Correlation of the joint states' errors of views from quite different sides: what comes from the object."""
-APART = 35.0
-"""Degrees between two views at which what else they have in common has fallen to 1 / e. Both for noisy views of unseen
-procedural objects (``benchmarks/accuracy/bench_several_views.py``): over five categories, errors of views less than
-20 degrees apart correlate by 0.79, of those 20 to 40, 40 to 60, and 60 to 90 degrees apart by 0.75, 0.66 and 0.63."""
+APART = np.radians(35.0)
+"""Angle between two views at which what they have in common beside the object has fallen to 1 / e. For noisy views of
+unseen procedural objects (``benchmarks/accuracy/bench_several_views.py``): over five categories, errors of views less
+than 20 degrees apart correlate by 0.79, of those 20 to 40, 40 to 60, and 60 to 90 degrees apart by 0.75, 0.66, 0.63."""
 CONTRADICTS = 0.2
 """Median distance of a view's keypoints from where an answer has them, category units, from which on both cannot be
 right; 0.02 to 0.06 is usual."""
@@ -62,16 +60,18 @@ class Rig:
     """(V, 4, 4) category units."""
     alike: Tensor
     """(V, V) bool: which views tell the same joint states."""
+    shared: float
+    """Correlation of the errors of views from quite different sides: what comes from the object."""
 
     @classmethod
     @undisturbed()
-    def of(cls, T_first_camera: np.ndarray, alone: Sequence[Estimate], like: Tensor) -> Rig:
+    def of(cls, T_first_camera: np.ndarray, alone: Sequence[Estimate], shared: float, like: Tensor) -> Rig:
         """Of cameras at ``T_first_camera`` (V, 4, 4), in metres, and what each view tells ``alone``; dtype and device
         are those of ``like``."""
         placed = T_first_camera.copy()
         placed[:, :3, 3] /= alone[0].category.metres_per_unit
         alike = [[_alike(one, other) for other in alone] for one in alone]
-        return cls(torch.as_tensor(placed).to(like), torch.tensor(alike, device=like.device))
+        return cls(torch.as_tensor(placed).to(like), torch.tensor(alike, device=like.device), shared)
 
     def mirrored(self) -> Rig:
         """Of what all of them see in mirrors in their planes x = 0."""
@@ -98,8 +98,8 @@ class Rig:
         agree = ((apart[best[0]].median(-1).values < CONTRADICTS) & self.alike[best[0]]).to(cost)
         agree[best] = 1.0
         lines = keypoints[best].mean(1) - self.T_first_camera[:, :3, 3]
-        shared = (correlation(vector_angle(lines[:, None], lines[None])) * agree).sum(1, keepdim=True)
-        weights = torch.where(agree[:, None] > 0, seen.weights / shared, 0.0)
+        counts = (correlation(lines, self.shared) * agree).sum(1, keepdim=True)
+        weights = torch.where(agree[:, None] > 0, seen.weights / counts, 0.0)
         return best, Targets(seen.keypoints.transpose(0, 1).reshape(1, -1, 3), weights.mT.reshape(1, -1))
 
     def each(self, found: Refined, prior: OmadPrior, targets: Targets) -> Refined:
@@ -129,18 +129,25 @@ def relative_poses(T_world_camera: Any, views: int) -> np.ndarray:
     return np.linalg.inv(poses[0]) @ poses
 
 
-def correlation(angle: Tensor) -> Tensor:
-    """Of the errors of two views from directions ``angle`` (radians) apart."""
-    return SHARED + (1 - SHARED) * (-angle.rad2deg() / APART).exp()
+def alike_by_angle(angle: np.ndarray) -> np.ndarray:
+    """What of the errors of two views from directions ``angle`` (radians) apart is alike beside what is of the object,
+    from 1 at none."""
+    return np.exp(-angle / APART)
+
+
+def correlation(lines: Tensor, shared: float) -> Tensor:
+    """(V, V) of the errors of views along ``lines`` (V, 3), of which ``shared`` is of the object."""
+    angle = as_doubles(vector_angle(lines[:, None], lines[None]))
+    return torch.as_tensor(shared + (1 - shared) * alike_by_angle(angle)).to(lines)
 
 
 @undisturbed()
-def one_answer(estimates: Sequence[Estimate], alone: Sequence[Estimate]) -> list[Estimate]:
+def one_answer(estimates: Sequence[Estimate], alone: Sequence[Estimate], shared: float) -> list[Estimate]:
     """The estimates of all views, each with the warnings of all, and a further one where a view contradicts them, by
     where it sees the object or by the joint states that it tells ``alone``. How sure the answer is, the views that
-    agree say together: it is a little surer than the median of them, as the mean of values that err alike is (measured,
-    the error shrinks by 5 to 16 %). Where they are not most of the views it may as well be wrong, and so it may be in
-    the frame of a view that contradicts it."""
+    agree say together: it is a little surer than the median of them, as the mean of values is whose errors have so much
+    in common, ``shared`` from quite different sides. Where they are not most of the views it may as well be wrong, and
+    so it may be in the frame of a view that contradicts it."""
     estimates = [replace(one, joints_alone=own.joints) for one, own in zip(estimates, alone, strict=True)]
     against = [tuple(map(str, contradictions(estimate))) for estimate in estimates]
     found = [(*estimate.warnings, *doubts) for estimate, doubts in zip(estimates, against, strict=True)]
@@ -148,7 +155,7 @@ def one_answer(estimates: Sequence[Estimate], alone: Sequence[Estimate]) -> list
     warnings = tuple(f"view {number}: {warning}" for number, own in enumerate(found, 1) for warning in own)
     spreads = [[(joint.state_std, joint.tail) for joint in estimate.joints] for estimate in agree]
     std, tail = np.median(spreads, axis=0).T
-    std *= _shrinkage(agree)
+    std *= _shrinkage(agree, shared)
     told = [estimate.probability for estimate in agree if estimate.probability is not None]
     share = len(agree) / len(estimates) if any(against) else 1.0
     made = []
@@ -161,10 +168,10 @@ def one_answer(estimates: Sequence[Estimate], alone: Sequence[Estimate]) -> list
     return made
 
 
-def _shrinkage(estimates: Sequence[Estimate]) -> float:
+def _shrinkage(estimates: Sequence[Estimate], shared: float) -> float:
     """Standard deviation of the mean of what the views say, as a share of one view's."""
     lines = torch.as_tensor(np.stack([np.linalg.inv(estimate.T_camera_base)[:3, 3] for estimate in estimates]))
-    return float(correlation(vector_angle(lines[:, None], lines[None])).mean().sqrt())
+    return float(correlation(lines, shared).mean().sqrt())
 
 
 def contradictions(estimate: Estimate) -> Iterator[Check]:

@@ -38,6 +38,7 @@ with lazy_imports():
     from omad.evaluation.baselines.siamese import SiameseTraining, train_siamese
     from omad.evaluation.confidence import fitting
     from omad.evaluation.confidence.hands import fit_hand
+    from omad.evaluation.confidence.shared import fit_shared
     from omad.evaluation.confidence.surface_shares import follows_better, measured_shares
     from omad.model.backbones import BackboneConfig, get_backbone
     from omad.model.checkpoint import (
@@ -304,6 +305,8 @@ class TrainNet(_NetTraining):
         return prior
 
 
+VIEWS_AN_OBJECT = 20
+"""As many views as confidence is learned from for an object that is seen from several sides."""
 UNSEEN = 1
 """Seed of procedural objects that are of the training split, but not those that networks are trained on."""
 
@@ -313,8 +316,8 @@ class TrainConfidence(CategoryCommand):
     """Learn how far to believe a network's answers: intervals of joint states, and the probability that an answer is
     right. From views of objects that the network has not seen, spoilt at random, and of other things; a few minutes.
     Where objects may be of either hand, how to tell which is learned first, from twice as many views and their mirror
-    images. Writes confidence.json into the checkpoint folder, in place of what is there, and says how well it keeps its
-    word on a quarter as many views of other scenes."""
+    images. How alike views of one object err is learned last. Writes confidence.json into the checkpoint folder, in
+    place of what is there, and says how well it keeps its word on a quarter as many views of other scenes."""
 
     source: str = "procedural"
     """procedural, a generator of your own (.py), or a folder of URDF / PartNet-Mobility models; best of such that the
@@ -342,6 +345,9 @@ class TrainConfidence(CategoryCommand):
         answers = fitting.answered(estimator, models, self.views, self.seed)
         confidence = fitting.fit(answers, category, fitting.FittedTo(self.source, self.views, omad.__version__))
         confidence = replace(confidence, hand=estimator.hand)
+        judging = omad.Estimator(net, device=estimator.device, confidence=confidence)
+        shared = fit_shared(judging, models, max(self.views // VIEWS_AN_OBJECT, 1), self.seed + 3)
+        confidence = replace(confidence, shared=shared)
         confidence.save(folder)
         record = {"checkpoint": str(folder), "views": self.views, "asks_front": confidence.asks_front}
         others = fitting.answered(estimator, models, max(self.views // 4, 1), self.seed + 2)  # not those fitted to

@@ -27,6 +27,8 @@ FILE, WEIGHTS = "confidence.json", "model.safetensors"
 FORMAT = 1
 RIGHT_ANGLE, RIGHT_SHARE = float(np.radians(10)), 0.1
 """An answer is right where no joint state is farther off: radians, and a share of the object's diagonal."""
+SHARED = 0.5
+"""``Confidence.shared`` where nothing is known of it: that of a usual category."""
 CURE = "run omad train confidence, or delete the file"
 
 
@@ -67,6 +69,9 @@ class Confidence:
     """What it was learned from."""
     hand: tuple[float, ...] = ()
     """Of a category whose objects may be of either hand: what ``either_hand.odds`` takes."""
+    shared: float = SHARED
+    """Correlation of the errors of joint states in views of one object from quite different sides: what is of the
+    object, and no further view tells."""
 
     @property
     def asks_front(self) -> bool:
@@ -107,6 +112,8 @@ class Confidence:
             raise InputError(f"{path}: {error}; {CURE}") from error
         joints, image = len(category.joints), len(found.image)
         sizes = len(found.errors.mean), len(found.errors.straight), len(found.right.mean), len(found.right.straight)
+        if not 0 <= found.shared <= 1:
+            raise InputError(f"{path}: shared is {found.shared}, which is no share of one; {CURE}")
         if found.category != category.name:
             raise InputError(f"{path}: is for {found.category}, not for {category.name}; {CURE}")
         if found.image not in (WITHOUT_FRONT, IMAGE) or found.joint != JOINT or sizes != (

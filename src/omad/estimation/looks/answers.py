@@ -14,7 +14,7 @@ from omad.model.surfaces.surfaces import Surfaces
 from omad.objects.category import Category
 
 from ..checks import network_doubts, size_doubts
-from ..confidence.model import Confidence
+from ..confidence.model import SHARED, Confidence
 from ..confidence.signals import Meter, Signals
 from ..estimate import Estimate, PoseEstimate
 from .look import Look
@@ -29,6 +29,7 @@ class Answers:
     ) -> None:
         self._category, self._prior, self._confidence, self.surfaces = category, prior, confidence, surfaces
         self.asks_front = confidence is not None and confidence.asks_front
+        self.shared = SHARED if confidence is None else confidence.shared
         self._meter = Meter(category, prior)
 
     @cached_property
