@@ -19,6 +19,8 @@ VIEWS = 3
 MOST = 3.0
 """Standard deviations that an error counts as at most: views seen the wrong way round should not decide."""
 BATCH = 20
+DIGITS = 3
+"""Behind the point; more are chance."""
 
 
 def fit_shared(estimator: Estimator, models: Sequence[ObjectModel], objects: int, seed: int) -> float:
@@ -35,7 +37,8 @@ def fit_shared(estimator: Estimator, models: Sequence[ObjectModel], objects: int
         off = np.array([estimate.joint_states for estimate in estimates]) - [view.states for view in views]
         errors.append(np.clip(off / std, -MOST, MOST))
         directions.append(np.array([np.linalg.inv(view.T_camera_base)[:3, 3] for view in views]))
-    return shared_part(*(np.concatenate(each).reshape(objects, VIEWS, -1) for each in (errors, directions)))
+    shared = shared_part(*(np.concatenate(each).reshape(objects, VIEWS, -1) for each in (errors, directions)))
+    return round(shared, DIGITS)
 
 
 def shared_part(errors: np.ndarray, directions: np.ndarray) -> float:
