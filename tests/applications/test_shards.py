@@ -250,10 +250,11 @@ def test_without_a_cluster_to_reach_the_run_ends_in_one_line(tmp_path, monkeypat
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="a cluster of several nodes on one machine is for Linux")
-def test_a_cluster_that_loses_a_node_loses_and_doubles_nothing(in_a_folder_of_its_own, capsys):
+def test_a_cluster_that_loses_a_node_loses_and_doubles_nothing(in_a_folder_of_its_own, capsys, monkeypatch):
     pytest.importorskip("ray.data", reason="needs Ray: pip install 'omad[cluster]'")
     from ray.cluster_utils import Cluster
 
+    monkeypatch.setenv("RAY_worker_niceness", "0")  # or its workers wait for other tests
     small = {"num_cpus": 1, "object_store_memory": 100_000_000}
     cluster = Cluster(initialize_head=True, head_node_args=small | {"include_dashboard": False})
     try:
