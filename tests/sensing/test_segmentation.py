@@ -53,8 +53,7 @@ def test_clusters_are_those_of_scipy(seed: int) -> None:
     if seed % 2:
         points = rng.permutation(points)
     weights = rng.random(len(points))
-    distance = np.linalg.norm(points, axis=1)
-    chosen, rival = prominent_cluster(np.ascontiguousarray(points.T), distance, weights)
+    chosen, rival = prominent_cluster(np.ascontiguousarray(points.T), weights)
     expected, expected_rival = clusters_by_scipy(points, weights)
     assert np.array_equal(chosen, expected)
     assert rival == pytest.approx(expected_rival)

@@ -102,6 +102,8 @@ class Observation:
         the pixels' true rays, and ``depth``, ``mask`` and ``pixels`` are those of the undistorted image, into which
         points project with K alone.
         Raises InputError for input that cannot be right, and for fewer than 50 points."""
+        from omad.geometry.back_projection import back_projected, pixels_at  # imports Numba, which takes long
+
         brought = depth_from(depth_m)
         depth = _check_depth(brought.depth)
         camera = _check_camera(brought.camera if K is None else K, depth.shape)
@@ -125,22 +127,18 @@ class Observation:
             lie = f"depth: {count} of {np.count_nonzero(depth)} measured pixels lie inside mask and box"
             raise NothingSeen(f"{lie}, at least {MIN_POINTS} are needed; check mask, box and the camera's range")
         # a table is found in the whole frame even where the box leaves little of it
-        used = chosen if segment is None else measured
+        used = chosen if segment is None or given is box is None else measured
         every = _every(used)
         if every > 1:
             thinned = np.zeros_like(used)
             thinned[::every, ::every] = used[::every, ::every]
             used, count = thinned, np.count_nonzero(chosen & thinned)
-        place = np.flatnonzero(used)
-        pixels = np.empty((len(place), 2), dtype=int)
-        np.divmod(place, camera.width, out=(pixels[:, 1], pixels[:, 0]))
-        points = camera.backproject(pixels, depth.ravel()[place])
-        if not np.isfinite(points).all():
-            seen = np.isfinite(points).all(1)
-            place, pixels, points = place[seen], pixels[seen], points[seen]
-        kept, warnings = _select(points, segment, chosen.ravel()[place])
-        if len(kept) < count or segment is not None:
-            place, pixels, points = place[kept], pixels[kept], points[kept]
+        place, points = back_projected(camera, depth, used)
+        kept, warnings = _select(points, segment, None if used is chosen else chosen.ravel()[place])
+        if segment is not None:
+            place, points = place[kept], points[kept]
+        pixels = pixels_at(place, camera.width)
+        if len(pixels) < count or segment is not None:
             chosen = _mask_of(pixels, depth, every)
         if camera.distortion is not None:
             color = None if color is None else np.stack([camera.rectified(color[..., i]) for i in range(3)], -1)
@@ -155,7 +153,7 @@ class Observation:
                 warnings += (f"{lost:.0%} of the points lie {where}; turn the camera towards the object",)
             points, pixels, seen_at = points[kept], pixels[kept].astype(int), seen_at[kept]
         warnings = _doubts(camera) + odd_mask(mask, given) + warnings
-        points, seen_in = points.astype(np.float32), {"every": every, "seen_at": seen_at}
+        points, seen_in = np.ascontiguousarray(points, dtype=np.float32), {"every": every, "seen_at": seen_at}
         seen = cls(points, depth, camera, pixels, chosen, warnings, color, **seen_in)
         return seen.without_strays() if drop_flying else seen
 
@@ -368,8 +366,10 @@ def _select(
     points: np.ndarray, segment: str | None, inside: np.ndarray | None = None
 ) -> tuple[np.ndarray, tuple[str, ...]]:
     """Indices of the object's points, and warnings; ``inside`` (N,) bool is where a segment may lie."""
-    kept, warnings = np.arange(len(points)), ()
-    if segment is not None:
+    warnings: tuple[str, ...] = ()
+    if segment is None:
+        kept = np.arange(len(points))
+    else:
         from .cutting.angles import angle_doubts
         from .cutting.segmentation import RIVAL, segment_on_plane  # imports SciPy, which takes long
 

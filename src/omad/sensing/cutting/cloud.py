@@ -1,4 +1,4 @@
-"""A cloud as it is cut: where its points are, how far away, and in which cell of the image."""
+"""A cloud as it is cut: where its points are, and in which cell of the image."""
 
 from dataclasses import dataclass
 from typing import Self
@@ -11,6 +11,8 @@ ENOUGH = 40_000
 """Points, at most, for what is the same with more of them: a plane fitted to them, the median of their distances."""
 CELLS = 160
 """Across the frame; heights over a plane are averaged inside such a cell, against the noise of single pixels."""
+BORDER = 0.02
+"""So near to the frame's border, as a share of half its size, a point is at it."""
 COARSE, FINE = 0.01, 0.002
 """Thickness of a plane as a share of the distance: while searching, and at least when done (depth noise widens it)."""
 FAR = 4.0
@@ -19,15 +21,36 @@ camera's range hardly a plane would be farther away."""
 
 
 @dataclass(frozen=True)
+class Frame:
+    """What of a plane points span, but for single ones beside all others: places in it are -1 to 1."""
+
+    low: np.ndarray
+    """(2, 1) float32."""
+    steps: np.ndarray
+    """(2, 1) float32, of places for one of the plane's unit."""
+
+    @classmethod
+    def of(cls, seen: np.ndarray) -> Self:
+        """Of points (2, N)."""
+        few = some_of(seen) if seen.size else np.zeros((2, 1))
+        low, high = np.quantile(few, (0.001, 0.999), axis=1)[..., None]
+        return cls(low.astype(np.float32), (2 / np.maximum(high - low, 1e-9)).astype(np.float32))
+
+    def places(self, points: np.ndarray) -> np.ndarray:
+        """(2, N) in the frame, of points (2, N); those beside it are at its border."""
+        return np.clip((points - self.low) * self.steps - np.float32(1), -1, 1)
+
+
+@dataclass(frozen=True)
 class Cloud:
     """N points in the camera frame, by columns."""
 
     points: np.ndarray
     """(3, N) float32 metres."""
-    distance: np.ndarray
-    """(N,) float32 metres from the camera."""
-    place: np.ndarray
-    """(2, N) in the frame, -1 to 1; the frame is what the points span."""
+    frame: Frame
+    """Of the image, what rays x / z and y / z to the points span."""
+    at_border: np.ndarray
+    """(N,) bool, which of them are within ``BORDER`` of the frame's."""
     cell: np.ndarray
     """(N,) int32 number of the image cell, of ``(CELLS + 1)**2``."""
     scale: np.ndarray
@@ -40,17 +63,20 @@ class Cloud:
     def of(cls, points: np.ndarray) -> Self:
         """Of points (N, 3)."""
         columns = np.ascontiguousarray(points.T, dtype=np.float32)
-        distance = np.sqrt(np.einsum("an,an->n", columns, columns))
-        rays = columns[:2] / np.maximum(columns[2], np.float32(1e-9))
-        place = framed(rays, rays)
-        middle = float(np.median(some_of(distance))) if len(distance) else 0.0
-        scale = np.minimum(distance, np.float32(FAR * middle)) ** 2 / np.float32(max(middle, 1e-9))
-        return cls(columns, distance, place, _cells(place), scale, middle)
+        few = some_of(columns)
+        frame, middle = Frame.of(_rays(few)), float(np.median(distances(few))) if few.size else 0.0
+        limits = np.float32(FAR * middle), np.float32(max(middle, 1e-9))
+        at_border, cell, scale = _measured(columns, frame.low, frame.steps, *limits)
+        return cls(columns, frame, at_border, cell, scale, middle)
 
     def part(self, index: np.ndarray) -> Self:
         """Some of its points, in the same frame and scale."""
-        of_axes = self.points.take(index, 1), self.distance[index], self.place.take(index, 1)
-        return type(self)(*of_axes, self.cell[index], self.scale[index], self.middle)
+        points, at_border = self.points.take(index, 1), self.at_border[index]
+        return type(self)(points, self.frame, at_border, self.cell[index], self.scale[index], self.middle)
+
+    def places(self, index: np.ndarray) -> np.ndarray:
+        """(2, M) float32 where some of its points are in the frame, -1 to 1."""
+        return self.frame.places(_rays(self.points.take(index, 1)))
 
     def heights(self, plane: np.ndarray) -> tuple[np.ndarray, float]:
         """(N,) over a ``plane`` (4,) n . p = d as a share of ``scale``, averaged near it over each image cell; and the
@@ -59,9 +85,20 @@ class Cloud:
         return height, thickness(some_of(height))
 
 
+def every(count: int) -> int:
+    """Of so many values one in how many makes at most ``ENOUGH``, evenly. An odd step meets all columns of most
+    images."""
+    return -(-count // ENOUGH) | 1
+
+
 def some_of(values: np.ndarray) -> np.ndarray:
-    """At most ``ENOUGH`` of values (..., N), evenly. An odd step meets all columns of most images."""
-    return values[..., :: -(-values.shape[-1] // ENOUGH) | 1]
+    """At most ``ENOUGH`` of values (..., N)."""
+    return values[..., :: every(values.shape[-1])]
+
+
+def distances(points: np.ndarray) -> np.ndarray:
+    """(N,) metres from the camera, of points (3, N)."""
+    return np.sqrt(np.einsum("an,an->n", points, points))
 
 
 def thickness(height: np.ndarray) -> float:
@@ -72,40 +109,51 @@ def thickness(height: np.ndarray) -> float:
     return float(np.clip(3 * sigma, FINE, COARSE))
 
 
-def framed(rays: np.ndarray, seen: np.ndarray) -> np.ndarray:
-    """(2, M) where rays (2, M) are in the frame that those ``seen`` (2, N) span, -1 to 1."""
-    if not seen.size:
-        return rays
-    low, high = np.quantile(some_of(seen), (0.001, 0.999), axis=1)[..., None]
-    place = (rays - low.astype(np.float32)) * (2 / np.maximum(high - low, 1e-9)).astype(np.float32)
-    place -= 1
-    return np.clip(place, -1, 1, out=place)
+def _rays(points: np.ndarray) -> np.ndarray:
+    """(2, N) x / z and y / z, of points (3, N)."""
+    return points[:2] / np.maximum(points[2], np.float32(1e-9))
 
 
 @jit
-def _cells(place):
-    """(N,) int32 image cell of each place (2, N)."""
-    cell = np.empty(place.shape[1], dtype=np.int32)
-    for i in range(len(cell)):
-        row, column = int((place[0, i] + 1) * (CELLS / 2)), int((place[1, i] + 1) * (CELLS / 2))
-        cell[i] = row * (CELLS + 1) + column
-    return cell
+def _measured(points, low, steps, far, middle):
+    """Of points (3, N), as a ``Cloud`` has them: ``at_border``, ``cell`` and ``scale``."""
+    count = points.shape[1]
+    at_border, cell = np.empty(count, dtype=np.bool_), np.empty(count, dtype=np.int32)
+    scale = np.empty(count, dtype=np.float32)
+    left, top, by_x, by_y = low[0, 0], low[1, 0], steps[0, 0], steps[1, 0]
+    one, border, least = np.float32(1), np.float32(1 - BORDER), np.float32(1e-9)
+    for i in range(count):
+        x, y, z = points[0, i], points[1, i], points[2, i]
+        before = max(z, least)
+        across = min(max((x / before - left) * by_x - one, -one), one)
+        down = min(max((y / before - top) * by_y - one, -one), one)
+        at_border[i] = (abs(across) > border) | (abs(down) > border)
+        cell[i] = np.int32((across + 1) * (CELLS / 2)) * (CELLS + 1) + np.int32((down + 1) * (CELLS / 2))
+        distance = min(np.sqrt(x * x + y * y + z * z), far)
+        scale[i] = distance * distance / middle
+    return at_border, cell, scale
 
 
 @jit
 def _heights(points, plane, scale, cell):
     """(N,) float32, as ``Cloud.heights`` gives them."""
-    side = CELLS + 1
-    total, count = np.zeros(side * side), np.zeros(side * side)
+    total, count = np.zeros((CELLS + 1) ** 2), np.zeros((CELLS + 1) ** 2)
     height = np.empty_like(scale)
+    a, b, c, d = plane
     for i in range(len(height)):
-        height[i] = plane[0] * points[0, i] + plane[1] * points[1, i] + plane[2] * points[2, i] - plane[3]
-        height[i] /= scale[i]
-    for i in range(len(height)):
-        if abs(height[i]) < COARSE:
-            total[cell[i]] += height[i]
-            count[cell[i]] += 1
+        height[i] = (a * points[0, i] + b * points[1, i] + c * points[2, i] - d) / scale[i]
+    at, of_cell, in_cell = 0, 0.0, 0.0  # neighbours mostly share a cell: its sums are not stored after each of them
     for i in range(len(height)):
         if abs(height[i]) < COARSE:
-            height[i] = total[cell[i]] / count[cell[i]]
+            if cell[i] != at:
+                total[at], count[at] = of_cell, in_cell
+                at = cell[i]
+                of_cell, in_cell = total[at], count[at]
+            of_cell += height[i]
+            in_cell += 1
+    total[at], count[at] = of_cell, in_cell
+    mean = (total / count).astype(np.float32)
+    for i in range(len(height)):
+        if abs(height[i]) < COARSE:
+            height[i] = mean[cell[i]]
     return height

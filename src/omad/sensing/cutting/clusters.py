@@ -10,6 +10,8 @@ from scipy.spatial import KDTree
 from omad.common.compiled import jit
 from omad.geometry.disjoint_sets import join, numbered
 
+from .cloud import distances
+
 VOXEL = 0.02
 """Cluster resolution as a share of the median distance: what is nearer than about twice this is one thing."""
 SPARSE = 0.1
@@ -22,13 +24,13 @@ PIECE = 0.6
 """What is smaller than this share of a thing and near to it is a piece of it."""
 
 
-def prominent_cluster(points: np.ndarray, distance: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, float]:
+def prominent_cluster(points: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, float]:
     """(N,) bool of the heaviest cluster with its outlying pieces, and the next one's weight as a share of its own, in
-    a cloud (3, N) with the ``distance`` of each point from the camera. A cluster's weight is its squared size times the
-    mean of its points' ``weights``."""
-    if not len(distance):
+    a cloud (3, N) in the camera frame. A cluster's weight is its squared size times the mean of its points'
+    ``weights``."""
+    if not points.size:
         return np.zeros(0, dtype=bool), 0.0
-    voxels = _Voxels.of(points, VOXEL * float(np.median(distance)))
+    voxels = _Voxels.of(points, VOXEL)
     cells, cell_of = voxels.cells, voxels.cell_of
     count = np.bincount(cell_of)
     dense = count >= SPARSE * np.median(count[cell_of])
@@ -42,19 +44,18 @@ def prominent_cluster(points: np.ndarray, distance: np.ndarray, weights: np.ndar
     core = cells[labels == best]
     reach = max(GAP * float(np.linalg.norm(np.ptp(core, axis=0))), 1.8)
     others = np.flatnonzero(dense & (labels != best))
-    away, _ = KDTree(core).query(cells[others], distance_upper_bound=reach)
-    pieces = np.unique(labels[others[np.isfinite(away)]])
+    pieces = np.unique(labels[others[_near(core, cells[others], reach)]])
     weight[pieces] = 0.0
     rival = float(np.delete(weight, best).max(initial=0.0) / max(weight[best], 1e-300))
     return (np.isin(labels, [best, *pieces]) & dense)[cell_of], rival
 
 
-def all_clusters(points: np.ndarray, distance: np.ndarray, least: int) -> list[np.ndarray]:
-    """Indices of the points of every thing of at least ``least`` points, the largest first, in a cloud (3, N) with the
-    ``distance`` of each point from the camera. What is near to something much larger belongs to that."""
-    if not len(distance):
+def all_clusters(points: np.ndarray, least: int) -> list[np.ndarray]:
+    """Indices of the points of every thing of at least ``least`` points, the largest first, in a cloud (3, N) in the
+    camera frame. What is near to something much larger belongs to that."""
+    if not points.size:
         return []
-    voxels = _Voxels.of(points, FINE * float(np.median(distance)))
+    voxels = _Voxels.of(points, FINE)
     count = np.bincount(voxels.cell_of)
     dense = count >= SPARSE * np.median(count[voxels.cell_of])
     labels = _touching(voxels.keys, voxels.steps, dense)
@@ -68,20 +69,37 @@ def all_clusters(points: np.ndarray, distance: np.ndarray, least: int) -> list[n
             continue
         owner[core] = core
         others = np.flatnonzero(kept & (owner[labels] < 0) & (size[labels] < PIECE * size[core]))
-        away, _ = KDTree(voxels.cells[kept & (labels == core)]).query(
-            voxels.cells[others], distance_upper_bound=max(GAP * float(size[core]), 1.8)
-        )
-        owner[labels[others[np.isfinite(away)]]] = core
+        of_core, reach = voxels.cells[kept & (labels == core)], max(GAP * float(size[core]), 1.8)
+        owner[labels[others[_near(of_core, voxels.cells[others], reach)]]] = core
     of_point = np.where(kept, owner[labels], -1)[voxels.cell_of]
     things = [np.flatnonzero(of_point == core) for core in np.flatnonzero(owner == np.arange(len(owner)))]
     return sorted((thing for thing in things if len(thing) >= least), key=len, reverse=True)
 
 
-def _extents(cells: np.ndarray, labels: np.ndarray) -> np.ndarray:
+def _near(core: np.ndarray, others: np.ndarray, reach: float) -> np.ndarray:
+    """(M,) bool, which of the cells ``others`` (M, 3) are less than ``reach`` from one of the ``core`` (V, 3). Most lie
+    far beside all of it, and few of the core beside those that do not."""
+    near = _between(others, core, reach)
+    if near.any():
+        tree = KDTree(core[_between(core, others[near], reach)])
+        near[near] = np.isfinite(tree.query(others[near], distance_upper_bound=reach)[0])
+    return near
+
+
+def _between(cells: np.ndarray, others: np.ndarray, reach: float) -> np.ndarray:
+    """(V,) bool, which ``cells`` (V, 3) are at most ``reach`` beside the box around ``others`` (M, 3)."""
+    return ((cells >= others.min(0) - reach) & (cells <= others.max(0) + reach)).all(1)
+
+
+@jit
+def _extents(cells, labels):
     """(L, 3) how far the ``cells`` (V, 3) of each of L ``labels`` (V,) reach along the axes."""
-    low, high = np.tile([[[cells.max()]], [[cells.min()]]], (1, labels.max() + 1, 3))
-    np.minimum.at(low, labels, cells)
-    np.maximum.at(high, labels, cells)
+    low = np.full((labels.max() + 1, 3), np.iinfo(np.int64).max)
+    high = np.full_like(low, np.iinfo(np.int64).min)
+    for i in range(len(labels)):
+        for axis in range(3):
+            low[labels[i], axis] = min(low[labels[i], axis], cells[i, axis])
+            high[labels[i], axis] = max(high[labels[i], axis], cells[i, axis])
     return high - low
 
 
@@ -99,10 +117,10 @@ class _Voxels:
     """(13,) from a voxel's key to those of its face, edge and corner neighbours with greater keys."""
 
     @classmethod
-    def of(cls, points: np.ndarray, size: float) -> Self:
-        """Of edge ``size``, for points (3, N). Only where a row of pixels goes from one voxel into the next is anything
-        sorted."""
-        cell = np.floor(points / size).astype(np.int64)
+    def of(cls, points: np.ndarray, resolution: float) -> Self:
+        """Of points (3, N), ``resolution`` is the voxels' edge as a share of their median distance. Only where a row of
+        pixels goes from one voxel into the next is anything sorted."""
+        cell = np.floor(points / (resolution * float(np.median(distances(points))))).astype(np.int64)
         cell -= cell.min(1, keepdims=True)
         width, depth = cell[1:].max(1) + 2  # with an empty one beside the last: a step never leads into the next row
         along = np.array([width * depth, depth, 1])

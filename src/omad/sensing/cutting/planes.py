@@ -9,7 +9,7 @@ import numpy as np
 from omad.common.compiled import jit
 from omad.geometry.mesh import triangle_normals
 
-from .cloud import CELLS, COARSE, FAR, FINE, Cloud, some_of, thickness
+from .cloud import CELLS, COARSE, FAR, FINE, Cloud, distances, some_of, thickness
 
 SAMPLES = 3000
 """Points on which planes are searched; all points are judged by the plane found."""
@@ -22,8 +22,8 @@ MAX_BEHIND = 0.02
 What is ``FAR`` is behind nothing: a stray number of a camera, or what is seen through a door."""
 MAX_COSINE = 0.5
 """Between the normals of two planes: walls are steep to the floor, and what is parallel to the table lies on it."""
-BORDER = 0.02
-"""A wall has this share of its points this near to the frame's border: it runs out of the frame."""
+AT_BORDER = 0.02
+"""A wall has this share of its points at the frame's border: it runs out of the frame."""
 ALONE = 0.12
 """What is no more than this share of all points in its cell and the cells around it is noise of the plane."""
 
@@ -43,8 +43,7 @@ class Before:
 def take_planes_away(cloud: Cloud) -> Before:
     """What of a cloud lies before table, floor and walls. Deterministic."""
     rng = np.random.default_rng(0)
-    at_border = np.abs(cloud.place).max(0) > 1 - BORDER
-    left = np.ones(len(cloud.distance), dtype=bool)
+    left = np.ones(len(cloud.scale), dtype=bool)
     planes: list[np.ndarray] = []
     lowest = 0.0
     for _ in range(MAX_PLANES):
@@ -53,13 +52,13 @@ def take_planes_away(cloud: Cloud) -> Before:
             break
         height, half = cloud.heights(plane)
         on = left & (np.abs(height) < half)
-        if planes and np.count_nonzero(at_border & on) < BORDER * np.count_nonzero(on):
+        if planes and np.count_nonzero(cloud.at_border & on) < AT_BORDER * np.count_nonzero(on):
             break
         left &= height > half
         planes.append(plane)
         lowest = max(lowest, half * cloud.middle)
     if planes:
-        left &= _in_company(left, cloud.cell)
+        left = _in_company(left, cloud.cell)
     return Before(left, np.array(planes).reshape(-1, 4), lowest)
 
 
@@ -85,10 +84,10 @@ def find_plane(
     towards = np.where(offsets > 0, -1.0, 1.0)  # the camera is the origin: its height above the plane is -d
     planes = np.column_stack([normals, offsets]) * towards[:, None]
 
-    scale = cloud.scale[sample]
+    points, scale = cloud.points.take(sample, 1), cloud.scale[sample]
     taken = np.where(left[sample], scale, 0)
-    below = np.where(cloud.distance[sample] < FAR * cloud.middle, -2 * COARSE * scale, -np.inf)
-    on, close, behind = _votes(cloud.points.take(sample, 1), taken, below, planes.astype(np.float32)) / len(sample)
+    below = np.where(distances(points) < FAR * cloud.middle, -2 * COARSE * scale, -np.inf)
+    on, close, behind = _votes(points, taken, below, planes.astype(np.float32)) / len(sample)
     allowed = (normals != 0).any(1) & (behind <= behind_at_most) & (on >= share_at_least) & allows(planes[:, :3])
     if not allowed.any():
         return None
@@ -110,16 +109,22 @@ def _votes(points, taken, below, planes):
     it. Of the first those within twice that, but not within it, are subtracted: a plane that crosses a surface at a
     small angle has as many of these. The second tell it from one that is tilted to hold what lies flat on it, too."""
     votes = np.zeros((3, len(planes)))
+    coarse, wide, fine = (
+        (COARSE * taken).astype(np.float32),
+        (2 * COARSE * taken).astype(np.float32),
+        (FINE * taken).astype(np.float32),
+    )
     for h in range(len(planes)):
-        on, close, behind = 0, 0, 0
+        a, b, c, d = planes[h]
+        on = near = close = behind = np.int32(0)  # as wide as what is compared: the loop takes several points at once
         for i in range(points.shape[1]):
-            height = planes[h, 0] * points[0, i] + planes[h, 1] * points[1, i] + planes[h, 2] * points[2, i]
-            height -= planes[h, 3]
+            height = a * points[0, i] + b * points[1, i] + c * points[2, i] - d
             away = abs(height)
-            on += 2 * (away < COARSE * taken[i]) - (away < 2 * COARSE * taken[i])
-            close += away < FINE * taken[i]
-            behind += height < below[i]
-        votes[0, h], votes[1, h], votes[2, h] = on, close, behind
+            on += np.int32(away < coarse[i])
+            near += np.int32(away < wide[i])
+            close += np.int32(away < fine[i])
+            behind += np.int32(height < below[i])
+        votes[0, h], votes[1, h], votes[2, h] = 2 * on - near, close, behind
     return votes
 
 
@@ -139,12 +144,12 @@ def _fit(points: np.ndarray, before: np.ndarray) -> np.ndarray:
 
 
 def _in_company(left: np.ndarray, cell: np.ndarray) -> np.ndarray:
-    """(N,) bool, whether around a point's image ``cell`` (N,) more than single ones of the points are ``left``."""
+    """(N,) bool, which of the points ``left`` (N,) have more than single ones of them around their image ``cell``."""
     side = CELLS + 1
     padded = np.pad(_counts(left, cell, side * side).reshape(2, side, side), ((0, 0), (1, 1), (1, 1)))
     rows = padded[:, :-2] + padded[:, 1:-1] + padded[:, 2:]
     near, all_near = rows[..., :-2] + rows[..., 1:-1] + rows[..., 2:]
-    return (near > ALONE * all_near).ravel()[cell]
+    return _of_cells(left, (near > ALONE * all_near).ravel(), cell)
 
 
 @jit
@@ -155,3 +160,12 @@ def _counts(left, cell, cells):
         counts[0, cell[i]] += left[i]
         counts[1, cell[i]] += 1
     return counts
+
+
+@jit
+def _of_cells(left, kept, cell):
+    """(N,) bool, which of the points ``left`` (N,) have a ``cell`` (N,) of those ``kept``."""
+    of_kept = np.empty_like(left)
+    for i in range(len(left)):
+        of_kept[i] = left[i] & kept[cell[i]]
+    return of_kept

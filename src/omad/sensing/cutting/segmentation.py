@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .cloud import Cloud, framed, some_of
+from .cloud import Cloud, Frame, some_of
 from .clusters import all_clusters, prominent_cluster
 from .planes import take_planes_away
 from .tables import take_tables_away
@@ -42,11 +42,11 @@ def segment_on_plane(points: np.ndarray, inside: np.ndarray | None = None) -> Se
         left &= inside
         left[_neighbours(cloud, before.left, inside)] = False
     index = np.flatnonzero(left)
-    place = cloud.place.take(index, 1)
+    place = cloud.places(index)
     if inside is not None:
-        place = framed(place, cloud.place.take(some_of(np.flatnonzero(inside)), 1))
+        place = Frame.of(cloud.places(some_of(np.flatnonzero(inside)))).places(place)
     central = (1 - np.abs(place)).prod(0)
-    chosen, rival = prominent_cluster(cloud.points.take(index, 1), cloud.distance[index], central)
+    chosen, rival = prominent_cluster(cloud.points.take(index, 1), central)
     left[index] = chosen
     return Segment(left, before.planes, rival)
 
@@ -55,7 +55,7 @@ def _neighbours(cloud: Cloud, left: np.ndarray, inside: np.ndarray) -> np.ndarra
     """Indices of the points ``left`` (N,) of things that only reach ``inside`` (N,), with less than a thing that mostly
     lies there has."""
     index = np.flatnonzero(left)
-    things = [index[thing] for thing in all_clusters(cloud.points.take(index, 1), cloud.distance[index], NEIGHBOUR)]
+    things = [index[thing] for thing in all_clusters(cloud.points.take(index, 1), NEIGHBOUR)]
     seen = [np.count_nonzero(inside[thing]) for thing in things]
     most = max((count for count, thing in zip(seen, things, strict=True) if count >= WITHIN * len(thing)), default=0)
     beside = [thing for count, thing in zip(seen, things, strict=True) if count < min(most, WITHIN * len(thing))]
@@ -79,11 +79,10 @@ def things_before_planes(points: np.ndarray, least: int) -> Things:
     cloud = Cloud.of(points)
     before = take_tables_away(cloud, take_planes_away(cloud))
     index = np.flatnonzero(before.left)
-    clusters = [index[thing] for thing in all_clusters(cloud.points.take(index, 1), cloud.distance[index], least)]
+    clusters = [index[thing] for thing in all_clusters(cloud.points.take(index, 1), least)]
     return Things(clusters, before.planes, before.lowest)
 
 
 def things_alone(points: np.ndarray, least: int) -> list[np.ndarray]:
     """Indices of each thing of at least ``least`` points in a camera-frame cloud (N, 3) without surroundings."""
-    cloud = Cloud.of(points)
-    return all_clusters(cloud.points, cloud.distance, least)
+    return all_clusters(np.ascontiguousarray(points.T, dtype=np.float32), least)

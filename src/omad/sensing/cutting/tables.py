@@ -8,7 +8,7 @@ import numpy as np
 
 from omad.common.compiled import jit
 
-from .cloud import Cloud, some_of
+from .cloud import Cloud, every, some_of
 from .clusters import all_clusters
 from .planes import MIN_SHARE, Before, find_plane
 
@@ -40,40 +40,37 @@ LEAST = 20
 def take_tables_away(cloud: Cloud, before: Before) -> Before:
     """What is left of a cloud also without tables, their legs, and what is seen below them; and without the floor where
     so little is seen of it that only the table tells of it."""
-    few = some_of(np.arange(len(cloud.distance)))
-    left, least = few[before.left[few]], int(MIN_SHARE * len(few))
+    few = some_of(before.left)
+    left, least = np.flatnonzero(few) * every(len(before.left)), int(MIN_SHARE * len(few))
     if len(left) < least:
         return before
-    for thing in all_clusters(cloud.points.take(left, 1), cloud.distance[left], least):
+    for thing in all_clusters(cloud.points.take(left, 1), least):
         table = _table_of(cloud.part(left[thing]), before)
         if table is None:
             continue
         plane, outline = table
         height, half = cloud.heights(plane)
-        low = np.flatnonzero(before.left & (height <= half))
-        under = low[_within(outline, _axes(plane), cloud.points, low)]
-        before = replace(_without(before, under, plane), lowest=max(before.lowest, half * cloud.middle))
+        above = before.left & ~((height <= half) & _within(outline, _axes(plane), cloud.points))
+        before = replace(_with(before, above, plane), lowest=max(before.lowest, half * cloud.middle))
         if (_over_parallel(plane, before.planes[:-1]) > 0).any():
             continue
         level, deep = partial(_parallel, plane), before.left & (height * cloud.scale < -LOWEST)
         floor = find_plane(cloud, deep, np.random.default_rng(0), level, share_at_least=MIN_FLOOR)
         if floor is not None:
             height, half = cloud.heights(floor)
-            before = _without(before, np.flatnonzero(height <= half), floor)
+            before = _with(before, before.left & (height > half), floor)
     return before
 
 
-def _without(before: Before, taken: np.ndarray, plane: np.ndarray) -> Before:
-    """What is left without the points ``taken`` (M,) with one more ``plane`` (4,)."""
-    left = before.left.copy()
-    left[taken] = False
+def _with(before: Before, left: np.ndarray, plane: np.ndarray) -> Before:
+    """What is ``left`` (N,) with one more ``plane`` (4,) taken away."""
     return replace(before, left=left, planes=np.concatenate([before.planes, plane[None]]))
 
 
 def _table_of(thing: Cloud, before: Before) -> tuple[np.ndarray, np.ndarray] | None:
     """The table (4,) that most points of a thing lie on or stand on, and its outline (16,); None where it is no table
     with things."""
-    everything = np.ones(len(thing.distance), dtype=bool)
+    everything = np.ones(len(thing.scale), dtype=bool)
     plane = find_plane(thing, everything, np.random.default_rng(0), lambda normals: normals[:, 1] < -UP, MAX_BEHIND)
     if plane is None or (_over_parallel(plane, before.planes) < LOWEST).any():
         return None
@@ -84,8 +81,8 @@ def _table_of(thing: Cloud, before: Before) -> tuple[np.ndarray, np.ndarray] | N
     axes = _axes(plane)
     outline = _outline(axes, thing.points, on)
     width = _width(outline)
-    things = all_clusters(thing.points.take(above, 1), thing.distance[above], LEAST)
-    if not things or np.mean(_within(outline + BESIDE * width.max(), axes, thing.points, above)) < INSIDE:
+    things = all_clusters(thing.points.take(above, 1), LEAST)
+    if not things or _within(outline + BESIDE * width.max(), axes, thing.points)[above].mean() < INSIDE:
         return None
     if any((_width(_outline(axes, thing.points, above[one])) > WIDE * width).any() for one in things):
         return None
@@ -125,17 +122,17 @@ def _outline(axes, points, index):
 
 
 @jit
-def _within(outline, axes, points, index):
-    """(M,) bool, which of points (3, N), by their ``index`` (M,), lie over, on or under what has an outline (16,) in
-    the plane of ``axes`` (2, 3)."""
-    inside = np.ones(len(index), dtype=np.bool_)
-    for i in range(len(index)):
-        x, y, z = points[0, index[i]], points[1, index[i]], points[2, index[i]]
-        across = axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z
-        along = axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z
-        for k in range(8):
+def _within(outline, axes, points):
+    """(N,) bool, which of points (3, N) lie over, on or under what has an outline (16,) in the plane of ``axes``
+    (2, 3)."""
+    inside = np.empty(points.shape[1], dtype=np.bool_)
+    (a, b, c), (d, e, f) = axes
+    for i in range(len(inside)):
+        x, y, z = points[0, i], points[1, i], points[2, i]
+        across, along = a * x + b * y + c * z, d * x + e * y + f * z
+        within = True
+        for k in range(8):  # all of them: the loop takes several points at once
             reach = DIRECTIONS[k, 0] * across + DIRECTIONS[k, 1] * along
-            if reach > outline[k] or -reach > outline[k + 8]:  # that of the opposite direction
-                inside[i] = False
-                break
+            within &= (reach <= outline[k]) & (-reach <= outline[k + 8])  # that of the opposite direction
+        inside[i] = within
     return inside
