@@ -41,8 +41,8 @@ def _fill(place, columns, depth, used, across, down):
         for column in range(width):
             z = depth[row, column]
             x, y = across[column] * z, down[row] * z
-            if used[row, column] and np.isfinite(x) and np.isfinite(y):
+            if count < len(place):  # unused ones are written, too, then over: branches would wait where holes scatter
                 place[count] = row * width + column
                 columns[0, count], columns[1, count], columns[2, count] = x, y, z
-                count += 1
+            count += used[row, column] & (abs(x) < np.inf) & (abs(y) < np.inf)
     return count

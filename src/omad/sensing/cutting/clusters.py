@@ -91,16 +91,20 @@ def _between(cells: np.ndarray, others: np.ndarray, reach: float) -> np.ndarray:
     return ((cells >= others.min(0) - reach) & (cells <= others.max(0) + reach)).all(1)
 
 
-@jit
-def _extents(cells, labels):
+def _extents(cells: np.ndarray, labels: np.ndarray) -> np.ndarray:
     """(L, 3) how far the ``cells`` (V, 3) of each of L ``labels`` (V,) reach along the axes."""
-    low = np.full((labels.max() + 1, 3), np.iinfo(np.int64).max)
-    high = np.full_like(low, np.iinfo(np.int64).min)
+    low, high = np.tile([[[cells.max()]], [[cells.min()]]], (1, labels.max() + 1, 3))
+    _widen(low, high, cells, labels)
+    return high - low
+
+
+@jit
+def _widen(low, high, cells, labels):
+    """Move the bounds (L, 3) of each label to those of its ``cells`` (V, 3)."""
     for i in range(len(labels)):
         for axis in range(3):
             low[labels[i], axis] = min(low[labels[i], axis], cells[i, axis])
             high[labels[i], axis] = max(high[labels[i], axis], cells[i, axis])
-    return high - low
 
 
 @dataclass(frozen=True)
