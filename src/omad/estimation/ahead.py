@@ -15,15 +15,16 @@ _DONE: set[Hashable] = set()
 
 
 def compile_ahead(
-    estimator: Callable[[Sequence[Observation]], list[Estimate]], category: Category, settings: Hashable = None
+    answers: Callable[[Sequence[Observation]], list[Estimate]], category: Category, settings: Hashable = None
 ) -> None:
     """Compile, or load what an earlier process compiled, on the way from a depth image to an estimate, once a process
-    and ``settings``. Where something has to be compiled, a line on stderr says so."""
+    and ``settings``. ``answers`` need not be compared with others, which takes as long again and the same code. Where
+    something has to be compiled, a line on stderr says so."""
     if settings in _DONE:
         return
     view = made_up_view(category)
     for views in ([view], [view, view]):
-        for estimate in estimator(views):
+        for estimate in answers(views):
             estimate.to_dict()
     _DONE.add(settings)
 

@@ -139,7 +139,7 @@ class Estimator:
         net = load(OmadNet, folder)
         confidence, surfaces = Confidence.load(folder, net.category), Surfaces.beside(folder, net.prior, net.category)
         estimator = cls(net, config, pick_device(device), refine, confidence, surfaces)
-        compile_ahead(estimator, estimator.category, (estimator.config, estimator.device.type, refine))
+        compile_ahead(estimator.first_answers, estimator.category, (estimator.config, estimator.device.type, refine))
         return estimator
 
     @property
