@@ -161,7 +161,7 @@ def show(observation: Observation, estimate: Estimate, path: str | Path | None =
 
 def save(fig: Figure, path: str | Path) -> None:
     """Write a PNG, or what the name's extension says. Raises InputError for one of no picture."""
-    plain_texts(fig)
+    _plain_texts(fig)
     kind = Path(path).suffix[1:].lower() or "png"  # without, Matplotlib would choose another name
     if kind not in fig.canvas.get_supported_filetypes():
         raise InputError(f"{path}: no picture is written as .{kind}; give a name that ends in .png, .pdf or .svg")
@@ -171,7 +171,7 @@ def save(fig: Figure, path: str | Path) -> None:
 
 def lay_out(fig: Figure, rect: tuple[float, float, float, float] = (0, 0, 1, 1)) -> None:
     """Its texts as they stand, and its panels side by side within ``rect``."""
-    plain_texts(fig)
+    _plain_texts(fig)
     with _any_script():
         fig.tight_layout(rect=rect)
 
@@ -184,7 +184,7 @@ def _any_script() -> Iterator[None]:
         yield
 
 
-def plain_texts(fig: Figure) -> None:
+def _plain_texts(fig: Figure) -> None:
     """Names of files and objects are no formulas: texts are drawn as they stand."""
     for text in fig.findobj(Text):
         assert isinstance(text, Text)
