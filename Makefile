@@ -4,8 +4,9 @@ VENV := .venv
 BIN := $(VENV)/bin
 # Modules are compiled when they are first imported: most never are, and compiling all takes half of an installation.
 INSTALL := $(BIN)/pip install -q --no-compile -c constraints.txt
-# Two processes of one thread, each with whole files, whose tests share what they load.
-SIDE_BY_SIDE := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
+# A process of one thread for each of up to four cores (each grows to 2.5 GB), with whole files, whose tests share what
+# they load.
+SIDE_BY_SIDE := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n logical --maxprocesses 4 --dist loadfile --no-loadscope-reorder
 
 .PHONY: demo test test-quick check docs
 
