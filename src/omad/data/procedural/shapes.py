@@ -13,6 +13,11 @@ with lazy_imports():
     from scipy.interpolate import CubicSpline  # a quarter of a second, and most answers need none
 
 X, Y, Z = np.eye(3)
+HEXAHEDRON = np.array(
+    [[0, 1, 5], [0, 5, 4], [1, 2, 6], [1, 6, 5], [2, 3, 7], [2, 7, 6], [3, 0, 4], [3, 4, 7]]  # sides
+    + [[0, 2, 1], [0, 3, 2], [4, 5, 6], [4, 6, 7]]  # ends
+)
+"""Triangles (12, 3) of ``hexahedron``'s corners."""
 
 
 @dataclass(frozen=True)
@@ -53,9 +58,7 @@ def loft(rings: np.ndarray, closed: bool = False) -> Mesh:
 
 def hexahedron(corners: np.ndarray) -> Mesh:
     """Solid with eight corners (8, 3): a ring of four, then the ring opposite."""
-    side = [[0, 1, 5], [0, 5, 4], [1, 2, 6], [1, 6, 5], [2, 3, 7], [2, 7, 6], [3, 0, 4], [3, 4, 7]]
-    ends = [[0, 2, 1], [0, 3, 2], [4, 5, 6], [4, 6, 7]]
-    return _outward(corners, np.array(side + ends))
+    return _outward(corners, HEXAHEDRON)
 
 
 def column(x0: float, x1: float, back: float, z0: float, z1: float, low: float, high: float) -> Mesh:
@@ -91,12 +94,10 @@ def posts(x: float, y: float, span: float, half: float, root: float, tip: float)
 def rounded_rectangle(width: float, height: float, radius: float, segments: int = 4) -> np.ndarray:
     """Outline (n, 2) counter-clockwise, centred on the origin."""
     radius = float(np.clip(radius, 1e-4, 0.49 * min(width, height)))
-    outline = []
-    for quarter, (sx, sy) in enumerate([(1, 1), (-1, 1), (-1, -1), (1, -1)]):
-        angles = np.linspace(quarter, quarter + 1, segments + 1) * np.pi / 2
-        centre = np.array([sx * (width / 2 - radius), sy * (height / 2 - radius)])
-        outline.append(centre + radius * np.stack([np.cos(angles), np.sin(angles)], 1))
-    return np.concatenate(outline)
+    quarters = np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)])
+    angles = np.linspace(np.arange(4), np.arange(1, 5), segments + 1, axis=1) * np.pi / 2
+    centres = quarters * (np.array([width, height]) / 2 - radius)
+    return (centres[:, None] + radius * np.stack([np.cos(angles), np.sin(angles)], -1)).reshape(-1, 2)
 
 
 def slab(
@@ -173,6 +174,5 @@ def spline(points: Sequence[Sequence[float] | np.ndarray], count: int) -> np.nda
 
 
 def _outward(vertices: np.ndarray, faces: np.ndarray) -> Mesh:
-    corner = vertices[faces]
-    volume = np.einsum("fi,fi->", corner[:, 0], np.cross(corner[:, 1], corner[:, 2]))
+    volume = np.linalg.det(vertices[faces]).sum()
     return Mesh(vertices, faces if volume > 0 else faces[:, ::-1])
