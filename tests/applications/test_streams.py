@@ -11,6 +11,7 @@ from PIL import Image
 from sequences import SequenceConfig, SequenceFrame, render_sequence
 
 from helpers.headless_browser import HeadlessBrowser
+from omad.applications.tracking.frames import Clock
 from omad.applications.tracking.streams import taken
 from omad.cli.main import run
 from omad.data.procedural import generate
@@ -291,3 +292,21 @@ def test_a_track_is_recorded_for_rerun_and_shown_live(folder, capsys, monkeypatc
     monkeypatch.setattr(rr.RecordingStream, "spawn", lambda stream: spawned.append(stream))
     tracked(capsys, str(folder), *K, "--fps", "10", "--live")
     assert len(spawned) == 1
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "seconds"),
+    [
+        ("2024-05-01_12-30-59.png", "2024-05-01_12-31-01.png", 2.0),
+        ("frame-20240501T123059.png", "frame-20240501T123101.depth.png", 2.0),
+        ("20240501_123059.750.png", "20240501_123100.250.png", 0.5),
+        ("2024-02-29 23:59:59,5Z.npy", "2024-03-01 00:00:00,0Z.npy", 0.5),
+        ("20240501123059750.png", "20240501123100250.png", 0.5),
+        ("2024-05-01_12-30-05_0007.png", "2024-05-01_12-30-05_0010.png", 0.3),  # frames of that recording
+        ("1999123123595901.png", "1999123123595903.png", 2e-6),  # microseconds since 1970
+        ("00002.depth.png", "00004.depth.png", 0.2),
+    ],
+)
+def test_names_tell_dates_stamps_and_frames(one, other, seconds):
+    clock = Clock(10.0)
+    assert [clock(Path(one)), clock(Path(other))] == pytest.approx([0.0, seconds], abs=1e-6)

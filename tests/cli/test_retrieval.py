@@ -204,6 +204,15 @@ def test_bad_input_is_one_line(capsys):
     before = Path("q.png").read_bytes()
     assert "q.png: " in refused(capsys, "index", "build", *OF_LAPTOP, "--output", "q.png", "--objects", "1")
     assert Path("q.png").read_bytes() == before
+    build_of = ["index", "build", *OF_LAPTOP, *K, "--output", "x.npz", "--source"]
+    assert "q.png: is no URDF, nor a folder" in refused(capsys, *build_of, "q.png")
+    lone = save_png("images/lone.png")
+    Path("images/lone").mkdir()
+    for alike in (Path("images/lone.npy"), Path("images/lone/view.png")):
+        alike.touch()
+        line = refused(capsys, *build_of, "images")
+        assert all(told in line for told in [lone, str(alike), "is object lone", "sub-folder"]), line
+        alike.unlink()
 
 
 @pytest.mark.slow

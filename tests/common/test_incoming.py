@@ -18,7 +18,7 @@ from omad.common.errors import InputError
 from omad.common.incoming import read_arrays, read_image, read_json, read_text
 from omad.common.limits import Limits
 from omad.sensing.camera_files import read_camera
-from omad.sensing.depth_files import read_cloud, read_depth, read_mask
+from omad.sensing.depth_files import parse_depth, read_cloud, read_depth, read_mask
 
 
 @pytest.fixture(autouse=True)
@@ -29,7 +29,7 @@ def here(tmp_path, monkeypatch):
 @pytest.fixture
 def small(monkeypatch):
     """Limits that small files go beyond."""
-    few = Limits(image_pixels=1000, data_bytes=100_000, text_bytes=2000, cloud_points=100)
+    few = Limits(image_pixels=1000, data_bytes=100_000, sent_bytes=50_000, text_bytes=2000, cloud_points=100)
     for module in (limits, incoming):
         monkeypatch.setattr(module, "limits", lambda: few)
 
@@ -79,6 +79,10 @@ def test_archives_that_unpack_to_too_much_are_refused(small):
     assert Path("cloud.npz").stat().st_size < 10_000
     with pytest.raises(InputError, match=r"cloud\.npz: .*OMAD_LIMITS=data_bytes"):
         read_cloud("cloud.npz")
+    np.savez_compressed("sent.npz", depth=np.zeros((30, 300)))
+    assert read_arrays(Path("sent.npz"), "NPZ")  # who has the file may unpack as much
+    with pytest.raises(InputError, match=r"depth: .*OMAD_LIMITS=sent_bytes"):
+        parse_depth(Path("sent.npz").read_bytes(), "depth")
 
 
 def npy_claiming(shape: str) -> bytes:

@@ -209,6 +209,16 @@ def test_a_limit_that_is_left_out_is_zero_as_urdf_has_it(left_out, limits, tmp_p
     assert read_articulation(file).joints[0].limits == limits
 
 
+@pytest.mark.parametrize("up", [0, 1, 2], ids="xyz".__getitem__)
+def test_a_right_hinged_door_is_not_taken_for_a_left_hinged_one_on_its_head(up, tmp_path):
+    category, R = EVERY["microwave"], np.roll(np.eye(3), up - 1, axis=0)
+    for name, model in (("left", generate(category, 0)), ("right", generate(category, 0).mirrored())):
+        parts = tuple(part.warped(lambda vertices: vertices @ R.T) for part in model.parts)
+        turned = replace(model, parts=parts, axes=model.axes @ R.T, pivots=model.pivots @ R.T)
+        found = import_model(write_urdf(turned, tmp_path / name), category)
+        assert found.of_other_hand == (name == "right")
+
+
 def test_imported_models_survive_our_own_writer(tmp_path):
     model = import_model(write_urdf(seen_otherwise(generate(DISHWASHER, 5), 2), tmp_path / "a"), DISHWASHER)
     assert_same(read_urdf(write_urdf(model, tmp_path / "b"), DISHWASHER), model, 1e-9, 1e-12)

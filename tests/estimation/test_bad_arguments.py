@@ -43,6 +43,12 @@ def test_one_bad_observation_of_several_is_named(value):
         estimator()([good, with_point(value), good])
 
 
+def test_what_lies_behind_the_camera_was_not_seen_by_it():
+    cloud = laptop_view().observation().points
+    with pytest.raises(InputError, match="observation 1: most of its points lie behind the camera"):
+        estimator()([Observation(points=cloud), Observation(points=cloud * np.float32([1, -1, -1]))])
+
+
 @pytest.mark.parametrize("value", [None, 3, [None], ["x"], [laptop_view], Observation(np.ones((60, 3), dtype=object))])
 def test_what_is_no_observation_is_named(value):
     with pytest.raises(InputError, match="observation"):

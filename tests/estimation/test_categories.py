@@ -9,6 +9,7 @@ from scipy.special import logit
 
 import omad
 from helpers.chair import chair_view
+from omad.applications.solver import Solver
 from omad.data.procedural import generate
 from omad.data.rendering.depth_noise import ON
 from omad.data.rendering.standard_views import standard_view
@@ -164,6 +165,17 @@ def test_a_chair_is_none_of_them_and_objects_are_not():
 def test_those_asked_for_are_always_fitted():
     ranking = rank(view("laptop"), estimators(), always=["scissors"])
     assert "scissors" in [one.estimate.category.name for one in ranking.candidates]
+
+
+def test_a_known_hand_is_that_of_categories_of_either_hand():
+    category, own = get_category("safe"), LateEstimator.of("safe")
+    shut = standard_view(generate(category, 0, "test"), category, (7, 0), states=np.zeros(1)).observation()
+    known, names = omad.Known(mirrored_probability=1.0), ["laptop", "safe"]
+    ranking = rank(shut, [own, laptop()], known, always=names)
+    hands = {one.estimate.category.name: one.estimate.mirrored_probability for one in ranking.candidates}
+    assert hands == {"laptop": None, "safe": 1.0}
+    for estimator in (own, laptop()):
+        assert Solver(None, lambda one=estimator: [one], known)(shut, None).estimate.category == estimator.category
 
 
 @pytest.mark.parametrize("always", ["laptop", ["lapdog"], [""]])

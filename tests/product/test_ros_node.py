@@ -194,8 +194,8 @@ def test_the_node_answers_each_image(store, published, monkeypatch):
     )
     running = node.OmadNode()
     running.answer(*inputs(store)[:2])
-    assert [topic for topic, _ in published] == ["joint_states", "probability", "tf", "markers"]
-    assert published[1][1].data > 0.5
+    assert [topic for topic, _ in published] == ["probability", "joint_states", "tf", "markers"]
+    assert published[0][1].data > 0.5
     assert [sent.child_frame_id for sent in published[2][1]] == ["laptop/base", "laptop/screen"]
     running.answer(*inputs(store)[:2])  # an image that is late says nothing of the object
     assert [topic for topic, _ in published[4:]] == ["warning"]
@@ -203,6 +203,11 @@ def test_the_node_answers_each_image(store, published, monkeypatch):
     info.width = 320
     running.answer(depth, info)
     assert published[-1][0] == "error"
+    depth, info, _ = inputs(store, 90)  # long gone
+    depth.data = np.zeros_like(depth.data)
+    running.answer(depth, info)
+    assert [topic for topic, _ in published[-2:]] == ["probability", "markers"]
+    assert published[-2][1].data == 0
 
 
 def test_markers_do_not_wait_for_a_fit_to_the_image(store, published, monkeypatch):

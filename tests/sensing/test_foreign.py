@@ -116,6 +116,23 @@ def test_a_camera_of_another_size_is_refused():
         Observation.from_depth(laptop_view().depth, small)
 
 
+def test_a_binned_window_of_a_sensor_is_seen_where_it_lies(tmp_path, plain):
+    info = camera_info("ROS2_HUMBLE")
+    info.width, info.height, info.binning_x, info.binning_y = 1400, 1500, 2, 3
+    info.roi = messages()["sensor_msgs/msg/RegionOfInterest"](60, 30, 1440, 1280, False)
+    info.k = np.array([1200.0, 0, 639 + 60, 0, 1800, 718.5 + 30, 0, 0, 1])
+    info.p = np.c_[info.k.reshape(3, 3), np.zeros(3)].ravel()
+    seen = Observation.from_depth(laptop_view().depth, info)
+    np.testing.assert_allclose(seen.points, plain.points, atol=1e-6)
+    (tmp_path / "info.yaml").write_text(  # as `ros2 topic echo` has it
+        f"width: 1400\nheight: 1500\nk: {info.k.tolist()}\np: {info.p.tolist()}\nbinning_x: 2\nbinning_y: 3\n"
+        "roi: {x_offset: 60, y_offset: 30, width: 1280, height: 1440, do_rectify: false}\n"
+    )
+    found = read_camera(tmp_path / "info.yaml")
+    np.testing.assert_allclose(found.without_lens().K, laptop_view().camera.K, atol=1e-12)
+    assert found.size == (640, 480)
+
+
 def test_open3d_parameters_are_read_from_their_file(tmp_path):
     inner = {"width": 640, "height": 480, "intrinsic_matrix": [600.0, 0, 0, 0, 600, 0, 319.5, 239.5, 1]}
     told = {"class_name": "PinholeCameraParameters", "extrinsic": np.eye(4).ravel().tolist(), "intrinsic": inner}

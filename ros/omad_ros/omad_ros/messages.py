@@ -67,11 +67,10 @@ class Messages:
             found.append(self._marker(header, f"{joint.name} axis", ARROW, ends, CRIMSON))
         return self._make("visualization_msgs/MarkerArray", markers=found)
 
-    def probability(self, estimate: Estimate) -> Any:
-        """std_msgs/Float32 that the answer is right; NaN where that is not known."""
-        return self._make(
-            "std_msgs/Float32", data=float("nan" if estimate.probability is None else estimate.probability)
-        )
+    def probability(self, estimate: Estimate | None) -> Any:
+        """std_msgs/Float32 that the answer is right; NaN where that is not known, 0 where there is no answer."""
+        told = 0.0 if estimate is None else estimate.probability
+        return self._make("std_msgs/Float32", data=float("nan" if told is None else told))
 
     def nothing(self, header: Any) -> Any:
         """visualization_msgs/MarkerArray that takes away what was shown."""

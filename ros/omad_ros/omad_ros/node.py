@@ -2,8 +2,8 @@
 
 Subscribes ``depth`` (sensor_msgs/Image, 16UC1 millimetres or 32FC1 metres), ``info`` (sensor_msgs/CameraInfo of that
 image) and with ``use_mask`` ``mask`` (sensor_msgs/Image, not zero on the object). Publishes ``joint_states``
-(sensor_msgs/JointState), ``probability`` (std_msgs/Float32, that the answer is right), ``markers``
-(visualization_msgs/MarkerArray) and transforms from the camera to the links.
+(sensor_msgs/JointState), ``probability`` (std_msgs/Float32, that the answer is right, 0 where there is none),
+``markers`` (visualization_msgs/MarkerArray) and transforms from the camera to the links.
 """
 
 import sys
@@ -78,11 +78,11 @@ class OmadNode(Node):
             self.get_logger().error(str(error), throttle_duration_sec=5.0)
             return
         header, make = depth.header, self.messages
+        self.probability.publish(make.probability(estimate))
         if estimate is None:
             self.markers.publish(make.nothing(header))
             return
         self.states.publish(make.joint_state(estimate, header))
-        self.probability.publish(make.probability(estimate))
         self.broadcaster.sendTransform(make.transforms(estimate, header))
         # surfaces that are fitted to what was seen take ten times as long as an answer
         self.markers.publish(make.markers(estimate.without_labels(), header))

@@ -87,7 +87,7 @@ class Solver:
                 raise InputError("is of none of the categories, at no size; check depth scale, mask and intrinsics")
             first = ranking.candidates[0]
             own = next(one for one in self.all if one.category.name == first.estimate.category.name)
-            [answer] = own.reconsidered([observation], [first.estimate], self.known)
+            [answer] = own.reconsidered([observation], [first.estimate], self.known.of(own.category))
             best = no_surer(answer, min(first.probability, observation.likelihood))
             checks = doubts(observation, best, depth_scale)
             if further:
@@ -100,9 +100,10 @@ class Solver:
     ) -> list[Check]:
         """What other estimates of its category say against one of which so much was ``found``: without gravity, and
         with other focal lengths."""
-        checks = gravity_doubts(observation, estimate, self.known, estimator)
+        known = self.known.of(estimator.category)
+        checks = gravity_doubts(observation, estimate, known, estimator)
         if all(check.name == "residual" for check in (*found, *checks)):  # which a wrong focal length may explain, too
-            checks += camera_doubts(observation, estimate, lambda views: estimator.first_answers(views, self.known))
+            checks += camera_doubts(observation, estimate, lambda views: estimator.first_answers(views, known))
         return checks
 
     def judged(

@@ -153,7 +153,9 @@ class IndexBuild(CategoryCommand):
         folder = Path(self.source)
         if self.source == "procedural" or not is_path(folder) or any(map(is_urdf, folder.rglob("*"))):
             return []
-        return files_in(folder, "**/[!.]*")
+        files = files_in(folder, "**/[!.]*")
+        catalogue.check_objects_apart(files, folder)
+        return files
 
     def _catalogued(self, estimator: omad.Estimator) -> catalogue.Catalogued:
         category = estimator.category

@@ -78,7 +78,7 @@ class Track(CategoryCommand):
     world, for --world with z up."""
     times: Path | None = None
     """CSV with lines name,seconds. Without it, time stamps in the files' names count (10, 13, 16 or 19 digits or a
-    decimal point: s, ms, us, ns), or frame numbers in them at --fps."""
+    decimal point: s, ms, us, ns; or date and time, as 2024-05-01_12-30-05), or frame numbers in them at --fps."""
     fps: float = 30.0
     """Frames a second, where neither --times nor names hold the time."""
     most: int | None = None

@@ -224,14 +224,14 @@ def parse_arrays(stored: bytes, name: str, cure: str = "export it again") -> np.
     """What ``read_arrays`` reads, of a file's bytes. Raises InputError."""
     with readable(name, "an array", cure):
         file, is_zip = io.BytesIO(stored), zipfile.is_zipfile(io.BytesIO(stored))
-        return _unpacked(file, len(stored), name) if is_zip else _one_array(file, len(stored))
+        return _unpacked(file, len(stored), name, "sent_bytes") if is_zip else _one_array(file, len(stored))
 
 
-def _unpacked(file: Any, size: int, name: str | Path) -> dict[str, np.ndarray]:
+def _unpacked(file: Any, size: int, name: str | Path, most: str = "data_bytes") -> dict[str, np.ndarray]:
     check_limit("data_bytes", size, f"{name}: the file")
     with zipfile.ZipFile(file) as archive:
         members = archive.infolist()
-        check_limit("data_bytes", sum(member.file_size for member in members), f"{name}: what it unpacks to")
+        check_limit(most, sum(member.file_size for member in members), f"{name}: what it unpacks to")
         found = {}
         for member in members:
             with archive.open(member) as inside:

@@ -35,6 +35,8 @@ class Limits:
     """A camera's file: intrinsics, lens, place."""
     data_bytes: int = 500_000_000
     """A binary file (array, cloud, mesh, index, network), packed and unpacked."""
+    sent_bytes: int = 100_000_000
+    """An NPZ that is sent, or lies in a table, unpacked: as much as the largest image of 16 bits."""
     mesh_faces: int = 2_000_000
     """Triangles of a mesh, and vertices."""
     links: int = 1_000

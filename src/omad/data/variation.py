@@ -50,7 +50,7 @@ def with_variants(
     for index in range(len(made), count if whole else 0):
         rng = np.random.default_rng([seed, index])
         model = _with_parts_of_others(whole[index % len(whole)], whole, how.exchanged, rng)
-        if rng.random() < 0.5 and _has_image(category):
+        if rng.random() < 0.5 and category.part_images is not None:
             model = mirrored(model, category)
         made.append(replace(_bent(model, category, how, rng), name=f"{model.name}-{index}"))
     return made
@@ -71,17 +71,6 @@ def mirrored(model: ObjectModel, category: Category) -> ObjectModel:
     parts = tuple(model.parts[of].mirrored() for of in image)
     axes, pivots = np.where(back[:, None], -axes, axes), model.pivots[joints] * MIRROR_X
     return replace(model, parts=parts, axes=axes, pivots=pivots, limits=limits)
-
-
-def _has_image(category: Category) -> bool:
-    """Whether the mirror image of an object is one of the category, too, joint for joint."""
-    image = [part.mirror for part in category.parts if part.mirror is not None]
-    screws = any(motion.turns and motion.slide for motion in category.metric_tree.motions)
-    if len(image) < len(category.parts) or image[0] != 0 or screws:
-        return False
-    return all(
-        image[joint.parent] == category.joints[image[1 + j] - 1].parent for j, joint in enumerate(category.joints)
-    )
 
 
 def _with_parts_of_others(

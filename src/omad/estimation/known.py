@@ -57,6 +57,10 @@ class Known:
         down = None if down is None else as_doubles(down) * MIRROR_X
         return replace(self, gravity=down, mirrored_probability=None if hand is None else 1 - hand)
 
+    def of(self, category: Category) -> Self:
+        """What of it may be said of a ``category``, where several are asked: those of one hand have no other."""
+        return self if category.either_hand else replace(self, mirrored_probability=None)
+
     def seen_from(self, T_first_camera: np.ndarray) -> list[Self]:
         """What is known in the first camera's frame in those of cameras at ``T_first_camera`` (V, 4, 4). Raises
         InputError where gravity is no direction."""

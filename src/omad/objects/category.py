@@ -240,6 +240,16 @@ class Category:
         """Keypoints are grouped by part, base first."""
         return tuple(index for index, part in enumerate(self.parts) for _ in range(part.keypoints))
 
+    @property
+    def part_images(self) -> tuple[int, ...] | None:
+        """Whose image in the plane x = 0 each part is, where the images hang on each other as the parts do; None where
+        they do not, or there are none: a thread in a mirror is another thread."""
+        images = tuple(part.mirror for part in self.parts if part.mirror is not None)
+        if len(images) < len(self.parts) or images[0] != 0 or any(joint.pitch for joint in self.joints):
+            return None
+        rows = zip(images[1:], self.joints, strict=True)
+        return images if all(images[j.parent] == self.joints[image - 1].parent for image, j in rows) else None
+
 
 def check_unit(metres_per_unit: float) -> None:
     """Raises ValueError for a length that nothing can be measured in."""

@@ -89,7 +89,8 @@ def camera_of(data: Any, name: str | Path) -> CameraFile:
     scale, data = scale_of(data, name), _inner(data)
     K = as_K(_find_intrinsics(data, name), str(name))
     try:
-        return CameraFile(K, _find_distortion(data), _find_size(data), _find_rectified(data), scale)
+        whole = CameraFile(K, _find_distortion(data), _find_size(data), _find_rectified(data), scale)
+        return _in_window(whole, data)
     except InputError as error:
         raise InputError(f"{name}: {error}; undistort the images and give fx,fy,cx,cy, or --distortion") from error
     except WRONG as error:
@@ -265,6 +266,21 @@ def _find_size(data: dict[str, Any]) -> tuple[int, int] | None:
                 raise ValueError("no size of an image")
             return sides
     return None
+
+
+def _in_window(camera: CameraFile, data: dict[str, Any]) -> CameraFile:
+    """The camera of the images, where ROS tells that of the whole sensor, which window of it they show (``roi``), and
+    how many of its pixels are one of theirs (``binning_x``): as image_geometry takes them."""
+    roi, window = data.get("roi"), ("x_offset", "y_offset", "width", "height")
+    told = roi if isinstance(roi, dict) else {name: getattr(roi, name, 0) for name in window}
+    left, top, *sides = (int(told.get(name) or 0) for name in window)
+    across, down = binning = [int(data.get(name) or 1) for name in ("binning_x", "binning_y")]
+    if camera.size is not None:
+        seen = (side or whole for side, whole in zip(sides, camera.size, strict=True))
+        width, height = (side // many for side, many in zip(seen, binning, strict=True))
+        camera = replace(camera, size=(width, height))
+    shown = np.array([[1 / across, 0, -left / across], [0, 1 / down, -top / down], [0, 0, 1]])
+    return replace(camera, K=shown @ camera.K, rectified=None if camera.rectified is None else shown @ camera.rectified)
 
 
 def _listed(value: Any) -> Any:

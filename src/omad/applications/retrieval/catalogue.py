@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from omad.common.batches import batched, progress
-from omad.common.errors import InputError
+from omad.common.errors import InputError, shown
 from omad.data.rendering.standard_views import View
 from omad.estimation.estimate import Estimate
 from omad.estimation.estimator import Estimator
@@ -104,3 +104,14 @@ def object_of(file: Path, root: Path) -> str:
     """What object a file shows: its sub-folder of ``root`` says it, or its own name where it lies in ``root``."""
     inside = file.relative_to(root)
     return inside.parts[0] if len(inside.parts) > 1 else file.stem
+
+
+def check_objects_apart(files: Sequence[Path], root: Path) -> None:
+    """Raises InputError for a file of ``root`` itself that is called like another, or like a sub-folder: its object
+    would be taken for theirs."""
+    firsts: dict[str, Path] = {}
+    for file in files:
+        first = firsts.setdefault(name := object_of(file, root), file)
+        if first != file and root in (first.parent, file.parent):
+            cure = "rename one, or lay all views of one object into a sub-folder"
+            raise InputError(f"{file}: is object {shown(name)}, as is {first}; {cure}")

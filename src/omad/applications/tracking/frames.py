@@ -5,11 +5,14 @@ import io
 import math
 import re
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 
 from omad.common.errors import InputError, shown
 from omad.common.incoming import existing, read_text
+from omad.sensing.beside import OF_DEPTH
 from omad.sensing.foreign.bags import RecordedFrame
 from omad.sensing.reader import input_files
 
@@ -17,6 +20,10 @@ from .tracker import LATEST
 
 DIGITS, COUNTED = 30, 8
 """Of a number with a decimal point, and of one that counts frames, at most."""
+DATE = re.compile(
+    r"(?<!\d)((?:19|20)\d\d)[-_.]?(\d\d)[-_.]?(\d\d)[-_T ]?(\d\d)[-_:.]?(\d\d)[-_:.]?(\d\d)[.,]?(\d{0,9})Z?$"
+)
+"""A date and a time of day down to seconds or parts of them, with or without what parts them."""
 STAMPS = {19: 1e-9, 16: 1e-6, 13: 1e-3, 10: 1.0}
 """Seconds per unit of a time stamp since 1970 by its number of digits; one that begins with a zero is a count."""
 
@@ -39,8 +46,8 @@ class Clock:
     """Tells when a frame was taken: by a table, or by its name, or by counting.
 
     A name that ends in 10, 13, 16 or 19 digits, or in a number with a decimal point, is a time stamp in seconds, ms,
-    us or ns; one that ends in a shorter number, or in one that begins with a zero, is that frame of ``fps`` a second,
-    so that missing frames leave a gap.
+    us or ns, as is one that ends in a date and a time of day; one that ends in a shorter number, or in one that begins
+    with a zero, is that frame of ``fps`` a second, so that missing frames leave a gap.
     """
 
     fps: float
@@ -62,16 +69,29 @@ class Clock:
             if found is None:
                 raise InputError(f"{path}: the table of times has no line for it; add one, or leave --times out")
             return found
-        number = re.search(r"(\d+)(\.\d+)?$", path.stem)
+        stem = path.stem.removesuffix(OF_DEPTH)
+        number = re.search(r"(\d+)(\.\d+)?$", stem)
+        digits = "" if number is None or number[2] else number[0]
+        unit = None if digits.startswith("0") else STAMPS.get(len(digits))
+        if unit is None and (told := _date_in(stem)) is not None:
+            return told
         if number is None:
             return self.count / self.fps
-        unit = None if number[0].startswith("0") else STAMPS.get(len(number[0]))
         most = DIGITS if number[2] or unit else COUNTED
         if len(number[0].lstrip("0")) > most:
             raise InputError(f"{shown(path)}: its number is no time; give the times with --times")
         if number[2]:
             return float(number[0])
         return int(number[0]) / self.fps if unit is None else int(number[0]) * unit
+
+
+def _date_in(stem: str) -> float | None:
+    """Seconds since 1970 of the date and time that a name ends in; None where it ends in none."""
+    if (found := DATE.search(stem)) is not None:
+        *whole, parts = found.groups()
+        with suppress(ValueError):  # digits that are no date
+            return datetime(*map(int, whole), tzinfo=UTC).timestamp() + float(f"0.{parts or 0}")
+    return None
 
 
 def frames_of(folder: Path, clock: Clock) -> list[FrameFile]:

@@ -16,7 +16,7 @@ from omad.output.frame_image import frame_image
 from omad.output.picture import axis_segments, reading, shaded
 from omad.sensing.observation import Observation
 
-from .tracker import TrackedEstimate
+from .tracker import TrackedEstimate, TrackedStates
 
 UNSEEN = {"lost": ("0.82", "lost"), "coasting": ("0.93", "predicted")}
 """Shades of grey behind the frames that were not used, and what they are called."""
@@ -30,18 +30,16 @@ Truth = Sequence[list[float] | None]
 """True joint states of each frame; None where they are not known."""
 
 
-def states_over_time(category: Category, tracked: Sequence[TrackedEstimate], truth: Truth | None = None) -> Figure:
+def states_over_time(category: Category, tracked: Sequence[TrackedStates], truth: Truth | None = None) -> Figure:
     """A panel a joint, in degrees or centimetres: the smoothed state with one standard deviation, each frame's own
     answer, and the truth."""
     joints = category.joints
     fig = Figure(figsize=(10, 1.2 + 2.6 * len(joints)), facecolor="white", layout="constrained")
     panels = fig.subplots(len(joints), 1, sharex=True, squeeze=False)[:, 0]
-    times = np.array([each.time for each in tracked])
+    times, told = np.array([each.time for each in tracked]), np.array([each.told for each in tracked])
     for j, (panel, joint) in enumerate(zip(panels, joints, strict=True)):
         per_unit, unit = reading(joint.motion.turns)
-        found = [each.estimate.joints[j] if each.estimate else None for each in tracked]
-        state, std = np.array([(one.state, one.state_std) if one else (np.nan,) * 2 for one in found]).T / per_unit
-        single = np.array([each.single.joints[j].state if each.single else np.nan for each in tracked]) / per_unit
+        state, std, single = told[:, :, j].T / per_unit
         _shade_unseen(panel, tracked, times)
         panel.plot(times, single, ".", color="0.45", markersize=3.5, label="each frame alone")
         panel.fill_between(times, state - std, state + std, color="tab:blue", alpha=0.25, linewidth=0)
@@ -56,7 +54,7 @@ def states_over_time(category: Category, tracked: Sequence[TrackedEstimate], tru
     return fig
 
 
-def _shade_unseen(panel: Axes, tracked: Sequence[TrackedEstimate], times: np.ndarray) -> None:
+def _shade_unseen(panel: Axes, tracked: Sequence[TrackedStates], times: np.ndarray) -> None:
     ends = np.append(times[1:], times[-1:])
     for status, (shade, label) in UNSEEN.items():
         for each, end in zip(tracked, ends, strict=True):

@@ -29,7 +29,7 @@ from .page import TrackPage
 from .pictures import Film, Truth, states_over_time
 from .places import CameraPlaces
 from .recorder import Recorder
-from .tracker import TrackedEstimate, Tracker
+from .tracker import TrackedEstimate, TrackedStates, Tracker
 
 FRAMES = "frames.jsonl"
 SUMMARY = "summary.json"
@@ -61,7 +61,7 @@ class TrackedSequence:
     stream: bool = False
     """Frames come while they are tracked: each is answered on stdout, and even the first may be refused."""
     files: list[FrameFile] = field(default_factory=list)
-    tracked: list[TrackedEstimate] = field(default_factory=list)
+    tracked: list[TrackedStates] = field(default_factory=list)
     refused: list[dict[str, str]] = field(default_factory=list)
     untold: list[FrameFile] = field(default_factory=list)
     """Of the refused ones the last, while it may be that all are."""
@@ -91,7 +91,7 @@ class TrackedSequence:
                 continue
             self.seconds.append(time.perf_counter() - began)
             self.files.append(replace(frame, source=None))  # images of hours of frames are not kept
-            self.tracked.append(tracked.without_labels())
+            self.tracked.append(TrackedStates.of(tracked, len(self.tracker.estimator.category.joints)))
             record = {"frame": frame.path.name, **tracked.to_dict()}
             if T_world_camera is not None and tracked.estimate is not None:
                 record["world"] = in_world(tracked.estimate, T_world_camera)
@@ -196,12 +196,8 @@ class TrackedSequence:
                 name = frame.path.name
                 name = f"'{name}" if name[:1] in FORMULA else name
                 row = [name, f"{frame.time:.6f}", one.status]
-                for j in range(len(names)):
-                    joint = one.estimate and one.estimate.joints[j]
-                    row += [f"{joint.state:.6f}", f"{joint.state_std:.6f}"] if joint else ["", ""]
-                    row.append(f"{one.single.joints[j].state:.6f}" if one.single else "")
-                sure = one.estimate and one.estimate.probability
-                writer.writerow([*row, "" if sure is None else f"{sure:.3f}"])
+                row += ["" if np.isnan(value) else f"{value:.6f}" for value in one.told.T.ravel()]
+                writer.writerow([*row, "" if one.probability is None else f"{one.probability:.3f}"])
 
 
 def earlier_track(folder: Path) -> list[Path]:
@@ -213,29 +209,30 @@ def earlier_track(folder: Path) -> list[Path]:
     return [folder / name for name in OF_A_TRACK] + files_of_answer(folder / LAST, parts)
 
 
-def summarise(category: Category, tracked: Sequence[TrackedEstimate], truth: Truth | None = None) -> dict[str, Any]:
+def summarise(category: Category, tracked: Sequence[TrackedStates], truth: Truth | None = None) -> dict[str, Any]:
     """Frames by status and how many are doubtful, the last joint states, and their range; with ``truth`` the errors of
     tracked and single answers on the same frames. Radians and metres."""
     statuses = [one.status for one in tracked]
-    seen = [one.estimate for one in tracked if one.estimate]
+    seen = np.array([one.told[0] for one in tracked if one.status != "lost"])
+    states: list[list[Any]] = [[None] * 3] * len(category.joints)
+    if len(seen):
+        states = np.stack([seen[-1], seen.min(0), seen.max(0)], 1).tolist()
     joints: list[dict[str, Any]] = []
-    for j, spec in enumerate(category.joints):
-        states = [estimate.joints[j].state for estimate in seen]
-        last, low, high = (states[-1], min(states), max(states)) if states else (None,) * 3
+    for spec, (last, low, high) in zip(category.joints, states, strict=True):
         found = {"last_state": last, "lowest_state": low, "highest_state": high}
         joints.append({"name": spec.name, "type": spec.type, **found})
     counts = {status: statuses.count(status) for status in ("tracking", "coasting", "lost")}
     summary = {"frames": len(tracked), "status": counts, "tracks": sum(one.restarted for one in tracked)}
-    summary["doubtful"] = sum(bool(one.estimate and one.estimate.doubtful) for one in tracked)
+    summary["doubtful"] = sum(one.doubtful for one in tracked)
     summary |= {"last_status": statuses[-1] if statuses else None, "joint_states": joints}
     return summary if truth is None else summary | {"errors": _errors(category, tracked, truth)}
 
 
-def _errors(category: Category, tracked: Sequence[TrackedEstimate], truth: Truth) -> list[dict[str, Any]]:
+def _errors(category: Category, tracked: Sequence[TrackedStates], truth: Truth) -> list[dict[str, Any]]:
     used = []
     for one, true in zip(tracked, truth, strict=True):
-        if one.status == "tracking" and one.estimate and one.single and true is not None:
-            used.append((one.estimate.joint_states - true, one.single.joint_states - true))
+        if one.status == "tracking" and true is not None:
+            used.append(one.told[[0, 2]] - true)
     errors = np.array(used).reshape(-1, 2, len(category.joints)).transpose(2, 1, 0)
     joints = zip(category.joints, errors, strict=True)
     return [{"name": j.name, "frames": len(used), "tracked": spread(a), "single": spread(b)} for j, (a, b) in joints]

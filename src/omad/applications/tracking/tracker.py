@@ -95,11 +95,6 @@ class TrackedEstimate:
     restarted: bool = False
     """A new track begins here: the object was found, or a cold start was better."""
 
-    def without_labels(self) -> Self:
-        """The same without part labels, as ``Estimate.without_labels`` has it."""
-        estimates = {name: getattr(self, name) for name in ("estimate", "single")}
-        return replace(self, **{name: one and one.without_labels() for name, one in estimates.items()})
-
     def to_dict(self) -> dict[str, Any]:
         """Plain Python values: the ``estimate`` of ``Estimate.to_dict`` (null while lost) and each frame's own."""
         found = self.estimate.to_dict() if self.estimate else {}
@@ -107,6 +102,32 @@ class TrackedEstimate:
         own = {name: getattr(self, name) for name in ("time", "status", "restarted", "surprise")}
         single = self.single.joint_states.tolist() if self.single else None
         return own | {key: found.get(key) for key in kept.split()} | {"single_joint_states": single}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrackedStates:
+    """What a ``TrackedEstimate`` tells of the joints, without all else: hours of frames are kept."""
+
+    time: float
+    status: Status
+    restarted: bool
+    probability: float | None
+    """Of the smoothed answer ..."""
+    doubtful: bool
+    told: np.ndarray
+    """(3, J) radians or metres: its states, their standard deviations, and what the frame alone says; NaN where there
+    is no answer."""
+
+    @classmethod
+    def of(cls, tracked: TrackedEstimate, joints: int) -> Self:
+        """``joints``: how many its category has."""
+        found, told = tracked.estimate, np.full((3, joints), np.nan)
+        if found is not None:
+            told[:2] = np.transpose([(joint.state, joint.state_std) for joint in found.joints])
+        if tracked.single is not None:
+            told[2] = tracked.single.joint_states
+        sure, doubtful = (None, False) if found is None else (found.probability, bool(found.doubtful))
+        return cls(tracked.time, tracked.status, tracked.restarted, sure, doubtful, told)
 
 
 DEFAULT_CONFIG = TrackerConfig()

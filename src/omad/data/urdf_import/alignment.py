@@ -13,6 +13,7 @@ import numpy as np
 from omad.common.errors import InputError
 from omad.geometry.directions import face_directions, tip_direction
 from omad.geometry.rigid import across, carry_each, rotate_each
+from omad.geometry.transforms import MIRROR_X
 from omad.objects.category import Category
 from omad.objects.model import ObjectModel
 
@@ -27,6 +28,9 @@ LEAST_TRAVEL, LEAST_INSIDE = 0.1, 0.5
 """Share of the spec's range of states that an object's joint must cover, or share of its own that must be in there."""
 HARDLY = 0.02
 """Share of the spec's range below which a joint does not move."""
+UP = np.array([0.001, 0.02, 0.05])
+"""How far it speaks for a frame that the source's x, y or z is up in it: most sources have z up, others y. That decides
+where geometry does not; a right-hinged door on its head is a left-hinged one."""
 SHORT = 0.1
 """Share of the object's diagonal below which a distance says little about its direction."""
 
@@ -37,9 +41,12 @@ class Aligned:
 
     model: ObjectModel
     R_canonical_source: np.ndarray
-    """(3, 3) how it was turned."""
-    mirrored: bool
-    """Whether it is the mirror image of what stands in the file."""
+    """(3, 3) how it was turned, or turned and mirrored."""
+
+    @property
+    def mirrored(self) -> bool:
+        """Whether it is the mirror image of what stands in the file."""
+        return bool(np.linalg.det(self.R_canonical_source) < 0)
 
 
 def align(labellings: Sequence[RawArticulation], category: Category) -> Aligned:
@@ -50,12 +57,12 @@ def align(labellings: Sequence[RawArticulation], category: Category) -> Aligned:
     or jointed like the category's. What is canonical already, as our own files are, stays as it stands.
     """
     found = next((as_model(raw, category) for raw in labellings if _is_canonical(raw, category)), None)
-    best, R, mirrored = found, np.eye(3), False
+    best, R = found, np.eye(3)
     if best is None:
-        models = [(as_model(raw, category), False) for raw in labellings]
-        models += [(model.mirrored(), True) for model, _ in models if category.either_hand]
-        candidates = ((*each, image) for model, image in models for each in _candidates(model, category))
-        best, R, _, mirrored = max(candidates, key=lambda candidate: candidate[2])
+        models = [(as_model(raw, category), np.eye(3)) for raw in labellings]
+        models += [(model.mirrored(), np.diag(MIRROR_X)) for model, _ in models if category.either_hand]
+        candidates = (each for model, image in models for each in _candidates(model, image, category))
+        best, R, _ = max(candidates, key=lambda candidate: candidate[2])
     check_like(best, category)
     # limits within the spec's; the spec's where the object states none
     spec = category.metric_limits
@@ -63,7 +70,7 @@ def align(labellings: Sequence[RawArticulation], category: Category) -> Aligned:
     model = replace(best, limits=limits).centred()
     # pivots move along their axes to where they are nearest to the origin, as any point of an axis will do
     along = (model.pivots * model.axes).sum(1, keepdims=True)
-    return Aligned(replace(model, pivots=model.pivots - along * model.axes), R, mirrored)
+    return Aligned(replace(model, pivots=model.pivots - along * model.axes), R)
 
 
 def _is_canonical(raw: RawArticulation, category: Category) -> bool:
@@ -81,18 +88,19 @@ def _is_canonical(raw: RawArticulation, category: Category) -> bool:
     return bool(in_place and _agreement(model, category).min() > LEAST_AGREEMENT)
 
 
-def _candidates(model: ObjectModel, category: Category) -> Iterator[tuple[ObjectModel, np.ndarray, float]]:
-    """The object at rest in every frame that might be canonical, the turn into it, and how well it fits the spec."""
+def _candidates(
+    model: ObjectModel, R_model_source: np.ndarray, category: Category
+) -> Iterator[tuple[ObjectModel, np.ndarray, float]]:
+    """The object at rest in every frame that might be canonical, the turn into it from the source's frame, and how well
+    it fits the spec."""
     rest = []
     joints = zip(category.joints, model.parts[1:], model.axes, model.pivots, model.limits, strict=True)
     for spec, child, axis, pivot, limits in joints:
         rest.append(rest_state(spec.motion, spec.rest, model.parts[spec.parent], child, axis, pivot, limits))
     at_rest = _zero_at(model, np.array(rest))
-    for R in _frames(at_rest, category):
-        turned = _turned(at_rest, R, category)
-        # most sources have z up, others y: that decides where geometry does not
-        up = 0.05 * R[1, 2] + 0.02 * R[1, 1]
-        yield turned, R, float(_agreement(turned, category).mean() + _travel(turned, category).mean() + up)
+    for R_canonical_model in _frames(at_rest, category):
+        turned, R = _turned(at_rest, R_canonical_model, category), R_canonical_model @ R_model_source
+        yield turned, R, float(_agreement(turned, category).mean() + _travel(turned, category).mean() + R[1] @ UP)
 
 
 def _zero_at(model: ObjectModel, states: np.ndarray) -> ObjectModel:

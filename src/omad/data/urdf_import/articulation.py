@@ -190,6 +190,8 @@ def _parse(path: Path) -> Any:
         # yourdfpy would go on with the readable half of a broken file
         root = ElementTree.fromstring(content)
     except ElementTree.ParseError as error:
+        if error.position == (1, 0):  # an image, an archive, or nothing at all
+            raise InputError(f"{shown(path)}: is no URDF, nor a folder; give a URDF, or a folder") from error
         raise InputError(f"{shown(path)}: broken XML ({error}); {REPAIR}") from error
     if b"xmlns:xacro" in content:
         raise InputError(f"{shown(path)}: is a xacro file; run xacro on it, and give the URDF that it writes")

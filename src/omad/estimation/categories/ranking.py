@@ -108,7 +108,8 @@ def rank(
     [look] = (propose or shipped_proposer())([known.as_level(observation)])
     proposals = Proposals.of(look, list(by_name))
     names = dict.fromkeys([*always, *proposals.worth_fitting(list(by_name))])
-    rows = [(by_name[name].first_answers([observation], known)[0], by_name[name].net.prior) for name in names]
+    asked = [by_name[name] for name in names]
+    rows = [(one.first_answers([observation], known.of(one.category))[0], one.net.prior) for one in asked]
     rows = [(estimate, prior) for estimate, prior in rows if estimate.is_finite]
     if not rows:
         return Ranking((), 1.0)

@@ -39,18 +39,16 @@ class Mirror:
     def of(cls, category: Category, tells_outside: bool) -> Mirror | None:
         """None where an image is no object of the category, or one with another beta: where a part has no ``mirror``,
         or a joint moves another way in it."""
-        parts = [part.mirror for part in category.parts]
-        if category.either_hand or parts[0] != 0 or None in parts or any(joint.pitch for joint in category.joints):
+        parts = None if category.either_hand else category.part_images
+        if parts is None:
             return None
-        images = np.array([part for part in parts[1:] if part is not None]) - 1
+        images = np.array(parts[1:]) - 1
         axes = np.array([joint.axis for joint in category.joints], float)
         axes /= np.linalg.norm(axes, axis=1, keepdims=True)
         signs = (mirrored_axes(axes, category.turning) * axes[images]).sum(1)
         limits = np.array([joint.limits for joint in category.joints])
         moved = np.sort(signs[:, None] * limits[images], 1)
-        parents = np.array([joint.parent for joint in category.joints])
-        hang_alike = (np.array(parts)[parents] == parents[images]).all()
-        if not (hang_alike and np.allclose(np.abs(signs), 1, atol=ALIKE) and np.allclose(moved, limits, atol=ALIKE)):
+        if not (np.allclose(np.abs(signs), 1, atol=ALIKE) and np.allclose(moved, limits, atol=ALIKE)):
             return None
         learned = mirror_map(category)
         partner = np.array(learned.source)

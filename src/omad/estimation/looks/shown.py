@@ -97,7 +97,8 @@ class Shown:
 
 
 def check_observations(observations: Any) -> list[Observation]:
-    """All of a sequence. Raises InputError that tells which of them is none, or holds points that are no places."""
+    """All of a sequence. Raises InputError that tells which of them is none, or holds points that are no places,
+    or none that a camera sees."""
     if not isinstance(observations, Sequence):
         raise InputError(f"observation: is {type(observations).__name__}; give an omad.Observation, or a list of them")
     for index, one in enumerate(observations):
@@ -106,4 +107,6 @@ def check_observations(observations: Any) -> list[Observation]:
             raise InputError(f"observation {index}: has no points (N, 3); make it with Observation.from_depth")
         if not max(-cloud.min(), cloud.max()) <= FARTHEST:  # not for NaN either
             raise InputError(f"observation {index}: has points that are not finite, or too far away; leave them out")
+        if np.count_nonzero(cloud[:, 2] <= 0) > len(cloud) / 2:  # of who made it without from_points, which says more
+            raise InputError(f"observation {index}: most of its points lie behind the camera; turn z forward")
     return list(observations)

@@ -29,6 +29,9 @@ CARRIED = (
     "distortion_model",
     "model",
     "coeffs",
+    "binning_x",
+    "binning_y",
+    "roi",
 )
 """What cameras call it, but for Open3D's matrix."""
 
