@@ -26,6 +26,15 @@ def test_views_have_as_many_points_as_the_backbone_is_shown(monkeypatch, command
     assert asked[0].views.points == asked[0].backbone.points == points
 
 
+def test_the_help_tells_how_long_a_training_goes_on(capsys):
+    prior, net = networks.PriorTraining().schedule, networks.NetTraining().schedule
+    with pytest.raises(SystemExit):
+        run(["train", "net", "--help"])
+    assert f"{prior.steps} of a prior, {net.steps} of a network" in " ".join(
+        capsys.readouterr().out.replace("│", "").split()
+    )
+
+
 def test_training_goes_on_at_the_size_that_was_begun_unless_another_is_asked_for(monkeypatch, tmp_path):
     asked = []
     monkeypatch.setattr(networks._Training, "learn", lambda self, train, settings, **given: asked.append(settings))

@@ -4,15 +4,17 @@ left out."""
 import json
 import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from helpers.command_line import answer
 from helpers.own_models import SPECS, microwave, write_microwaves
 from omad import get_category
 from omad.common.errors import InputError
-from omad.data.urdf_import.articulation import read_articulation
+from omad.data.urdf_import.articulation import read_articulation, read_urdf
 from omad.data.urdf_import.importing import import_folder
 from omad.objects.urdf import write_urdf
 
@@ -58,6 +60,21 @@ def test_a_record_that_names_files_outside_is_refused(imported, path):
     edit(imported, lambda record: record["written"]["oven-0-0"].update({path: "0"}))
     with pytest.raises(InputError, match="oven-0-0"):
         import_folder(Path("models"), MICROWAVE, Path("ours"))
+
+
+def test_what_was_made_with_a_spec_that_was_mended_is_made_anew(imported):
+    file = Path("ours/oven-0-0/oven-0-0.urdf")
+    mended = replace(MICROWAVE, joints=(replace(MICROWAVE.joints[0], limits=(0.0, 0.5)),))
+    for spec, upper in ((mended, 0.5), (mended, 0.5), (MICROWAVE, np.pi / 2)):
+        assert import_folder(Path("models"), spec, Path("ours")).used == ["oven-0-0", "oven-0-1"]
+        assert read_urdf(file, spec).limits[0, 1] == pytest.approx(upper)
+    with pytest.raises(InputError, match="another category"):
+        import_folder(Path("models"), replace(MICROWAVE, name="other"), Path("ours"))
+
+
+def test_a_folder_among_the_models_is_none_of_them(imported):
+    for _ in range(2):
+        assert not import_folder(Path("models"), MICROWAVE, Path("models/ours")).refused
 
 
 def test_what_another_put_into_the_folder_stays(imported):

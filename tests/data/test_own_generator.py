@@ -131,16 +131,19 @@ def test_numbers_that_cannot_be_are_said_in_a_line(part, further, said, tmp_path
         own_generator(file)(np.random.default_rng(0), MAILBOX, None)
 
 
-def test_lists_and_axes_of_any_length_are_taken(tmp_path):
+def test_lists_and_axes_of_any_length_are_taken(tmp_path, capsys):
+    """And what it prints is no answer of a command."""
     file = tmp_path / "own.py"
     file.write_text(
-        "from omad.data.procedural.vocabulary import JointedParts, box\n\n\ndef generate(rng, category, unusual):\n"
+        "from omad.data.procedural.vocabulary import JointedParts, box\nprint('found')\n\n\n"
+        "def generate(rng, category, unusual):\n    print('called')\n"
         "    part = box((0, 0, 0), (0.1, 0.1, 0.1))\n"
         "    return JointedParts((part, part), [[0, 0, 0]], axes=[[2, 0, 0]], limits=[[0, 1]])\n"
     )
     made = own_generator(file)(np.random.default_rng(0), MAILBOX, None)
     np.testing.assert_array_equal(made.axes, [[1.0, 0, 0]])
     np.testing.assert_array_equal(made.limits, [[0.0, 1]])
+    assert capsys.readouterr() == ("", "found\ncalled\ncalled\n")
 
 
 @pytest.mark.parametrize(("text", "said"), WRONG.values(), ids=WRONG)

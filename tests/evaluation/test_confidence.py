@@ -118,6 +118,9 @@ def test_too_few_views_are_refused_before_any_is_made(monkeypatch: pytest.Monkey
         monkeypatch.setattr(f"omad.cli.training.networks.{made}", None)
     with pytest.raises(InputError, match=r"views: are 199, .* at least 200 .* give more"):
         TrainConfidence(category="microwave", views=199).run()
+    with pytest.raises(InputError, match="from 275 on"):  # enough only if all of them showed it
+        TrainConfidence(category="microwave", views=274).run()
+    fitting.check_views(275)
 
 
 def test_a_fit_can_be_kept(fitted: Confidence, tmp_path: Path) -> None:

@@ -218,6 +218,7 @@ SLIPS = {
     "axis of nothing": ('"-y"', "[0, 0, 0]", "parts[1].joint.axis"),
     "axis of nothing by letters": ('"-y"', '"+y-y"', "parts[1].joint.axis"),
     "axis too short": ('"-y"', "[0, 1]", "parts[1].joint.axis"),
+    "reach along the axis": ("limits", 'reach = "+y"\nlimits', "parts[1].joint.reach"),
     "no limits": ("limits = [0, 90]\n", "", "parts[1].joint.limits"),
     "limits turned": ("[0, 90]", "[90, 0]", "parts[1].joint.limits"),
     "limits alone": ("[0, 90]", "[90]", "parts[1].joint.limits"),

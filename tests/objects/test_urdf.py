@@ -253,6 +253,10 @@ BAD = {
         [link("a"), link("b"), joint("j", "a", "b", inside='<limit lower="-inf" upper="inf"/>')],
         "limits.*'j'",
     ),
+    "a limit that is no number": (
+        [link("a"), link("b"), joint("j", "a", "b", inside='<limit lower="0" upper="nan"/>')],
+        "limits.*'j'",
+    ),
     "nothing": ([], ""),
     "no geometry": ([link("a", "")], ""),
     "missing mesh": (

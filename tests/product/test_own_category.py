@@ -15,12 +15,14 @@ import omad
 from helpers.command_line import answer, refused
 from helpers.own_models import microwave, stapler, write_microwaves, write_staplers
 from helpers.pages import blocks
+from helpers.same_models import assert_same
 from omad.cli.main import run
 from omad.data.rendering.standard_views import standard_view
-from omad.data.urdf_import.folder import load_folder
+from omad.data.urdf_import.folder import import_model, load_folder
 from omad.geometry.camera import STANDARD_CAMERA
 from omad.model.checkpoint import load
 from omad.model.omadnet import OmadNet
+from omad.objects.urdf import mesh_files, write_urdf
 
 DOCS = Path(__file__).parents[2] / "docs"
 TUTORIAL = DOCS / "own-category.md"
@@ -98,6 +100,16 @@ def test_python_of_the_tutorial_runs(inside):
 def test_the_spec_files_are_those_of_the_docs():
     for name, text in zip(SPECS, blocks(TUTORIAL, "toml"), strict=True):
         assert tomllib.loads(text) == tomllib.loads((DOCS / "categories" / name).read_text())
+
+
+def test_meshes_alone_need_a_urdf_as_in_the_docs(tmp_path):
+    """The parts of an object as OBJ, all in one frame."""
+    made, [urdf] = microwave(), blocks(TUTORIAL, "xml")
+    for name, file in zip(made.part_names, mesh_files(made, write_urdf(made, tmp_path / "made")), strict=True):
+        shutil.copy(file, tmp_path / f"{name}.obj")
+    (tmp_path / "oven.urdf").write_text(urdf)
+    found = import_model(tmp_path / "oven.urdf", omad.get_category(DOCS / "categories" / "microwave.toml"))
+    assert_same(found, made, 1e-9, 1e-3)
 
 
 @pytest.mark.slow

@@ -77,9 +77,9 @@ def test_what_drops_out_is_the_same_after_a_kill(tmp_path):
 
 
 def test_a_state_of_other_settings_or_a_broken_one_is_refused(tmp_path):
-    train(fresh(), terms, SCHEDULE, tmp_path, {})
-    with pytest.raises(InputError, match=re.escape(str(tmp_path))):
-        train(fresh(), terms, replace(SCHEDULE, seed=1), tmp_path, {})
+    train(fresh(), terms, SCHEDULE, tmp_path, {"settings": {"deep": ["x"]}})
+    with pytest.raises(InputError, match=re.escape(f"{tmp_path}/state.pt") + r".* other deep, seed \(0, here 1\);"):
+        train(fresh(), terms, replace(SCHEDULE, seed=1), tmp_path, {"settings": {"deep": ["y"]}})
     (tmp_path / "state.pt").write_bytes(b"nonsense")
     with pytest.raises(InputError, match=r"state\.pt: "):
         train(fresh(), terms, SCHEDULE, tmp_path, {})

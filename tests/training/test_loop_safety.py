@@ -15,6 +15,7 @@ from omad.common import files
 from omad.common.errors import InputError, WorkError
 from omad.common.processes.locks import only_one
 from omad.data.procedural import generate
+from omad.model.checkpoint import load
 from omad.model.priornet import PriorNet
 from omad.training.loop import Schedule, train
 from omad.training.train_prior import PriorTraining, train_prior
@@ -63,16 +64,21 @@ def handlers():
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_an_interrupted_training_goes_on_with_the_next_step(number, tmp_path):
+def test_an_interrupted_training_goes_on_with_the_next_step(number, tmp_path, capsys):
     """It is saved on the way out, long before the interval is over."""
     kept = train(fresh(), terms, SCHEDULE, tmp_path / "whole", {})
     with pytest.raises(KeyboardInterrupt):
         train(fresh(), signalled(number, 25), SCHEDULE, tmp_path / "stopped", {})
     assert torch.load(tmp_path / "stopped/state.pt", weights_only=True)["step"] == 25
+    with pytest.raises(InputError, match="stopped: its training was interrupted; give the same command again"):
+        load(PriorNet, tmp_path / "stopped")
     counted = []
     resumed = train(fresh(), lambda m, g: counted.append(1) or terms(m, g), SCHEDULE, tmp_path / "stopped", {})
     assert len(counted) == SCHEDULE.steps - 25
     assert torch.equal(resumed.layer.weight, kept.layer.weight)
+    assert "stopped: the training goes on, after 25 steps" in capsys.readouterr().err
+    train(fresh(), terms, SCHEDULE, tmp_path / "stopped", {})
+    assert "stopped: the training has ended before, after 40 steps" in capsys.readouterr().err
 
 
 def test_the_interval_is_no_part_of_what_is_trained(tmp_path):

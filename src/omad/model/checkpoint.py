@@ -26,6 +26,8 @@ from .storage.fetched import fetch
 from .storage.packing import unpacked
 
 FORMAT = 1
+STATE = "state.pt"
+"""In the folder of a training: what it goes on with. A checkpoint is there once it has ended."""
 LARGEST = 1e6
 """Of a weight."""
 WEIGHTS = Path(__file__).parent / "weights"
@@ -179,9 +181,11 @@ def category_from_dict(values: dict[str, Any]) -> Category:
 
 def _read_config(folder: Path, network: type[Network]) -> dict[str, Any]:
     path = folder / "config.json"
-    if not is_checkpoint(folder):
-        raise InputError(f"{folder}: no config.json here; give the folder that a training wrote")
     cure = "give the folder that a training wrote"
+    if not is_checkpoint(folder) and (folder / STATE).is_file():
+        raise InputError(f"{folder}: its training was interrupted; give the same command again, which goes on with it")
+    if not is_checkpoint(folder):
+        raise InputError(f"{folder}: no config.json here; {cure}")
     config = read_sealed(path, cure)
     found = (config.get("format"), config.get("kind")) if isinstance(config, dict) else (None, None)
     if None in found:

@@ -21,6 +21,8 @@ from functools import cache
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
+
 from omad.common.decode import decode, within
 from omad.common.errors import InputError
 from omad.common.incoming import existing, read_json, read_toml
@@ -191,6 +193,8 @@ def _joint(table: _Joint, index: int, names: list[str], before: list[JointSpec],
     length = math.hypot(*found["axis"]) or 1.0
     found["axis"] = tuple(x / length for x in found["axis"])
     spec = JointSpec(**vars(table) | found | {"name": name, "parent": names.index(parent), "at_most": at_most})
+    if spec.reach and not np.cross(spec.axis, spec.reach).any():
+        raise ValueError("reach: is along the axis; give where from the axis the part lies, or leave it out")
     if spec.motion.turns and max(map(abs, spec.limits)) <= 2 * math.pi:
         raise ValueError(
             f"limits: are degrees, and {spec.limits} hardly a movement; of radians, give {_in_degrees(spec)}"

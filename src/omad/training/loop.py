@@ -6,7 +6,7 @@ import json
 import math
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, nullcontext, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -24,7 +24,7 @@ from omad.common.processes.locks import only_one
 from omad.common.processes.signals import deferred
 from omad.common.stderr import is_watched
 from omad.data.surface_bank import SurfaceBank
-from omad.model.checkpoint import Network
+from omad.model.checkpoint import STATE, Network
 from omad.objects.category import Category
 from omad.objects.model import SampledObject
 
@@ -142,7 +142,7 @@ def _train(
     learned = {"model": model, "averaged": averaged, "optimizer": optimizer}
     step, seconds = 0, 0.0
 
-    state_path = folder / "state.pt"
+    state_path = folder / STATE
     identity = _identity(config, schedule)
     state = processes.from_first(lambda: _read_state(state_path, identity) if state_path.exists() else None)
     if state is not None:
@@ -157,6 +157,10 @@ def _train(
                 generator.set_state(generators[processes.rank].cpu().clone())  # a part of another tensor would crash it
             else:
                 generator = processes.generator(schedule.seed, device, step)
+
+        if processes.first:
+            todo = "has ended before" if _progress(step, seconds, schedule) >= 1 else "goes on"
+            print(f"{folder}: the training {todo}, after {step} steps", file=sys.stderr)
 
     def save() -> None:
         first, *others = processes.all_of(generator.get_state())
@@ -206,7 +210,7 @@ def _train(
                 if log and check is not None and int(CHECKS * progress) > checked:
                     checked, held_back = int(CHECKS * progress), check(averaged)
                 left = seconds * max(1 / progress - 1, 0)
-                bar.set_postfix_str(" ".join([f"{left / 60:.0f} min left", *_plain(held_back)]))
+                bar.set_postfix_str(" ".join([f"{left / 60:.1f} min left", *_plain(held_back)]))
                 if log:
                     log.write(step, seconds, left, schedule.batch, values, held_back, show=bar.disable)
             if due or asked or _progress(step, seconds, schedule) >= 1:
@@ -267,7 +271,7 @@ class MetricLog:
         if show and (held_back or seconds - self.shown > 30):
             self.shown = seconds
             rate, terms = step * batch / max(seconds, 1e-9), " ".join(_plain({**values, **held_back}))
-            clock = f"{seconds:.0f} s, {left / 60:.0f} min left"
+            clock = f"{seconds:.0f} s, {left / 60:.1f} min left"
             print(f"step {step}  {clock}  {rate:.0f} samples/s  {terms}", file=sys.stderr, flush=True)
 
     def close(self) -> None:
@@ -326,9 +330,18 @@ def _read_state(path: Path, identity: str) -> dict[str, Any]:
 def _differences(found: str, wanted: str) -> str:
     """What two trainings do not share, by name."""
     with suppress(ValueError, AttributeError):
-        one, other = json.loads(found), json.loads(wanted)
-        return f"other {', '.join(name for name in sorted({*one, *other}) if one.get(name) != other.get(name))}"
+        return f"other {', '.join(sorted({*_unlike(json.loads(found), json.loads(wanted))}))}"
     return "other settings"
+
+
+def _unlike(one: Any, other: Any, name: str = "settings") -> Iterator[str]:
+    """Names of what differs, down to single settings, with their values where these are numbers."""
+    if isinstance(one, dict) and isinstance(other, dict):
+        for key in {**one, **other}:
+            yield from _unlike(one.get(key), other.get(key), key)
+    elif one != other:
+        numbers = all(isinstance(value, int | float | None) for value in (one, other))
+        yield f"{name} ({one}, here {other})" if numbers else name
 
 
 def _progress(step: int, seconds: float, schedule: Schedule) -> float:

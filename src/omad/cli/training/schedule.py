@@ -17,7 +17,7 @@ class ScheduleOptions:
     """How long a training goes on, and in which steps."""
 
     steps: int | None = None
-    """Optimiser steps; default: the preset's."""
+    """Optimiser steps; default: 3000 of a prior, 20000 of a network (hours of a core)."""
     batch: int | None = None
     """Samples a step, of all processes together; default: the preset's."""
     learning_rate: float | None = None

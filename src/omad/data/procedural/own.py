@@ -5,6 +5,7 @@ import sys
 import traceback
 from collections import Counter
 from collections.abc import Callable, Sequence
+from contextlib import redirect_stdout
 from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
@@ -41,7 +42,8 @@ def own_generator(path: Path | str) -> Generator:
     if (folder := str(path.resolve().parent)) not in sys.path:
         sys.path.append(folder)  # last: what lies there takes nothing's place
     try:
-        make = runpy.run_path(str(path)).get("generate")
+        with redirect_stdout(sys.stderr):  # what it prints is no answer of a command
+            make = runpy.run_path(str(path)).get("generate")
     except (Exception, SystemExit) as error:
         raise _blamed(path, error) from error
     if not callable(make):
@@ -95,7 +97,8 @@ def _made(
 ) -> JointedParts:
     """One object, as it must be."""
     try:
-        made = make(rng, category, unusual)
+        with redirect_stdout(sys.stderr):
+            made = make(rng, category, unusual)
     except (Exception, SystemExit) as error:
         raise _blamed(path, error) from error
     return _fitting(path, made, category)

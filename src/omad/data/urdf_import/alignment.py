@@ -67,7 +67,8 @@ def align(labellings: Sequence[RawArticulation], category: Category) -> Aligned:
     # limits within the spec's; the spec's where the object states none
     spec = category.metric_limits
     limits = np.stack([np.fmax(best.limits[:, 0], spec[:, 0]), np.fmin(best.limits[:, 1], spec[:, 1])], 1)
-    model = replace(best, limits=limits).centred()
+    names = tuple(joint.name for joint in category.joints)
+    model = replace(best, limits=limits, joint_names=names).centred()
     # pivots move along their axes to where they are nearest to the origin, as any point of an axis will do
     along = (model.pivots * model.axes).sum(1, keepdims=True)
     return Aligned(replace(model, pivots=model.pivots - along * model.axes), R)
@@ -196,8 +197,18 @@ def check_like(model: ObjectModel, category: Category) -> None:
     own = np.nan_to_num(np.ptp(model.limits, axis=1), nan=np.inf)  # a joint that moves but a little may do so
     for joint, share in enumerate(_travel(model, category)):
         if share < min(LEAST_TRAVEL, LEAST_INSIDE * own[joint] / range_of[joint]) or share < HARDLY:
-            low, high = model.limits[joint]
+            own_range, spec_range = (_range(ends, category, joint) for ends in (model.limits, category.metric_limits))
             raise InputError(
-                f"joint {model.joint_names[joint]!r} moves from {low:.2f} to {high:.2f} from its rest state "
-                f"(radians or metres), which hardly meets the range of a {category.name}"
+                f"joint {model.joint_names[joint]!r} moves {own_range} from its rest state, that of a {category.name} "
+                f"{spec_range}: turn its axis round, or mend its limits"
             )
+
+
+def _range(limits: np.ndarray, category: Category, joint: int) -> str:
+    """In words, of one of the category's joints of such ``limits`` (J, 2)."""
+    low, high = limits[joint] + 0.0  # no -0
+    return (
+        f"{np.degrees(low):.0f}° to {np.degrees(high):.0f}°"
+        if category.turning[joint]
+        else f"{low:.3g} to {high:.3g} m"
+    )

@@ -58,6 +58,8 @@ class RawJoint:
     """(3,) metres: the joint frame's origin."""
     limits: tuple[float, float] | None
     """Radians or metres; None where the file states none."""
+    follows: str | None = None
+    """The joint that the file lets it move with (``mimic``)."""
 
     @property
     def type(self) -> JointType:
@@ -74,6 +76,8 @@ class RawArticulation:
     """In the order of their children: the child of ``joints[i]`` is ``links[i + 1]``."""
     skipped: tuple[str, ...] = ()
     """Meshes that the file names and that are missing."""
+    empty: tuple[str, ...] = ()
+    """Those without a triangle."""
 
     def rerooted(self, root: int) -> Self:
         """The same articulation hung up at link ``root``: joints on the way to the old root are turned round."""
@@ -143,7 +147,9 @@ def _articulation(path: Path, metres_per_unit: float, files: MeshFiles) -> RawAr
     for joint in moving:
         ends, slide = (body_of[joint.parent], body_of[joint.child]), slides.get(joint.name, 0.0)
         raw.append(_raw_joint(path, joint, slide, ends, T_model[joint.child], metres_per_unit))
-    found = RawArticulation(robot.name or path.stem, tuple(bodies), tuple(raw), tuple(files.skipped))
+    found = RawArticulation(
+        robot.name or path.stem, tuple(bodies), tuple(raw), tuple(files.skipped), tuple(files.empty)
+    )
     return _without_empty_ends(path, found)
 
 
@@ -166,12 +172,13 @@ def read_urdf(path: Path | str, category: Category) -> ObjectModel:
     parts = tuple(raw.links[names.index(name)] for name in wanted)
     model = as_model(replace(raw, links=parts, joints=joints), category)
     pivots = np.where(np.array(model.tree.turning)[:, None], model.pivots, 0.0)
-    return replace(model, pivots=pivots, joint_names=tuple(joint.name for joint in joints))
+    return replace(model, pivots=pivots)
 
 
 def as_model(raw: RawArticulation, category: Category) -> ObjectModel:
-    """Links and joints that are the category's, in its order, as they stand; limits that are not stated are NaN."""
-    return ObjectModel.of(
+    """Links and joints that are the category's, in its order, as they stand, joints by their own names; limits that are
+    not stated are NaN."""
+    model = ObjectModel.of(
         category,
         raw.name,
         parts=[link.mesh for link in raw.links],
@@ -180,6 +187,7 @@ def as_model(raw: RawArticulation, category: Category) -> ObjectModel:
         limits=np.array([joint.limits or (np.nan, np.nan) for joint in raw.joints], dtype=np.float64),
         motions=[joint.motion for joint in raw.joints],
     )
+    return replace(model, joint_names=tuple(joint.name for joint in raw.joints))
 
 
 def _parse(path: Path) -> Any:
@@ -290,10 +298,11 @@ def _raw_joint(path: Path, joint: Any, slide: float, ends: tuple[int, int], T: n
     limits, stated = None, [] if joint.limit is None else [joint.limit.lower, joint.limit.upper]
     if joint.type != "continuous" and any(limit is not None for limit in stated):
         low, high = sorted((limit or 0.0) * motion.state_unit(unit) for limit in stated)  # 0 is URDF's default
-        if not max(-low, high) <= FARTHEST * unit:  # not for NaN either
+        if not np.abs([low, high]).max() <= FARTHEST * unit:  # not for NaN either
             raise InputError(f"{path}: the limits of joint {joint.name!r} are not finite; use a continuous joint")
         limits = low, high
-    return RawJoint(joint.name, motion, *ends, axis / length, T[:3, 3] * unit, limits)
+    follows = None if joint.mimic is None else joint.mimic.joint
+    return RawJoint(joint.name, motion, *ends, axis / length, T[:3, 3] * unit, limits, follows)
 
 
 def _without_empty_ends(path: Path, raw: RawArticulation) -> RawArticulation:

@@ -34,6 +34,8 @@ MANY_TURNS = 4 * math.pi
 """Radians; no hinge's limit is so large ..."""
 IN_DEGREES = "are radians in a URDF; of degrees so large, divide them by 57.3"
 """... and what is said of one that is."""
+NORMALISED = (1.4, 3.6)
+"""Least and largest diagonal of a model in a unit sphere, roughly."""
 USUAL = 2.0
 """Category units that objects are across."""
 
@@ -130,19 +132,22 @@ def _imported(
     normalised = partnet.is_partnet(file)
     if normalised:
         partnet.check_source_name(file.parent, category)
-    scale = scale_of(file, category, scale)
+    assumed, scale = normalised and scale is None, scale_of(file, category, scale)
     raw = stated = read_articulation(file, scale, missing_meshes, mesh_folder)
     if normalised:
         raw = partnet.with_stated_axes(partnet.with_names(stated, file.parent), file.parent, scale)
     moved = [joint.name for joint, before in zip(raw.joints, stated.joints, strict=True) if joint is not before]
     notes = [f"axis of {', '.join(moved)} taken from {partnet.JOINTS}: the URDF has it elsewhere"] if moved else []
     notes += _odd_limits(raw)
+    notes += [f"{one.name} moves by itself: mimic is not heeded" for one in raw.joints if one.follows]
     try:
         aligned = align(label_parts(raw, category), category)
     except InputError as error:
-        others = _fitting(raw, category, file.parent if normalised else None)
-        cure = f"; it fits --category {' or '.join(others)}" if others else ""
-        raise InputError(f"{file}: not usable as {category.name}: {error}{cure}") from error
+        cures = _cures(raw, category, file.parent if normalised else None)
+        raise InputError("; ".join([f"{file}: not usable as {category.name}: {error}", *cures])) from error
+    least, most = (scale * end for end in NORMALISED)
+    if assumed and not least < aligned.model.diagonal < most:
+        notes.append(f"is scaled by {scale:g}, as PartNet-Mobility's are: of lengths in metres, give --scale 1")
     of_other_hand = aligned.mirrored != (category.either_hand and _mirrored_before(path))
     notes += [MIRRORED] if of_other_hand else []
     if stated.skipped:
@@ -193,13 +198,28 @@ def _mirrored_before(path: Path) -> bool:
     return isinstance(found, list) and MIRRORED in found
 
 
+def _cures(raw: RawArticulation, category: Category, partnet_folder: Path | None) -> list[str]:
+    """For a model that does not fit the ``category``, what may help."""
+    cures = [f"no triangles in {', '.join(raw.empty)}: export again"] if raw.empty else []
+    if category.name not in builtin_names():
+        with suppress(InputError, ValueError):  # of a category that cannot be of either hand
+            either = replace(category, either_hand=True)
+            align(label_parts(raw, either), either)
+            cures.append("its mirror image fits: if such objects are of either hand, say so in the spec (either_hand)")
+    others = _fitting(raw, category, partnet_folder)
+    return [*cures, f"it fits --category {' or '.join(others)}"] if others else cures
+
+
 def _fitting(raw: RawArticulation, category: Category, partnet_folder: Path | None) -> list[str]:
     """Shipped categories with another number of such parts, as their aliases tell, that a model fits which does not fit
-    the ``category``."""
-    found, aliases = [], {alias for part in category.parts[1:] for alias in part.aliases}
+    the ``category``; with more of them where it is jointed as that one is."""
+    found, aliases, least = [], {alias for part in category.parts[1:] for alias in part.aliases}, 0
+    with suppress(InputError):
+        label_parts(raw, category)
+        least = len(category.parts)
     for other in map(get_category, builtin_names()):
         alike = all(aliases.intersection(part.aliases) for part in other.parts[1:])
-        if alike and len(other.parts) != len(category.parts):
+        if alike and len(other.parts) != len(category.parts) and len(other.parts) > least:
             with suppress(InputError):
                 if partnet_folder is not None:
                     partnet.check_source_name(partnet_folder, other)
@@ -237,8 +257,8 @@ def _urdf_of(folder: Path) -> Path:
         return folder / partnet.URDF
     files = _urdf_files(folder)
     if len(files) != 1:
-        found = f"{len(files)} .urdf files" if files else "no .urdf file"
-        raise InputError(f"{folder}: {found}, expected one; give the file itself, or the folder of such folders")
+        found, cure = (f"{len(files)} .urdf files", "keep one of them there") if files else ("no .urdf file", "add one")
+        raise InputError(f"{folder}: {found}, expected one that names its meshes; {cure}, or give the file itself")
     return files[0]
 
 

@@ -82,9 +82,9 @@ def import_folder(
     missing_meshes: MissingMeshes = "refuse",
     mesh_folder: Path | None = None,
 ) -> ImportSummary:
-    """Import every model of ``source`` into ``output``; what is there already, from unchanged files, stays. Raises
-    InputError where ``source`` holds no models, and where ``output`` was made with other options."""
-    paths = object_paths(source)
+    """Import every model of ``source`` into ``output``; what is there already, from unchanged files and the same spec,
+    stays. Raises InputError where ``source`` holds no models, and where ``output`` was made with other options."""
+    paths = [path for path in object_paths(source) if path.resolve() != output.resolve()]  # it may lie among them
     if output.resolve() in (source.resolve(), *source.resolve().parents):
         raise InputError(f"{output}: would be written into the models it comes from; choose another folder")
     options = {"source": str(source.resolve()), "category": asdict(category), "scale": scale}
@@ -166,11 +166,16 @@ class _Record:
             _check_plain(name, f"{file}: a model's name")
             for path in found.written.get(name, {}):
                 _check_inside(path, f"{file}: {name!r}")
+        said = found.options.get("category")
+        mended = (
+            isinstance(said, dict) and said != options["category"] and said.get("name") == options["category"]["name"]
+        )
         for key, value in options.items():
-            if found.options.get(key) != value:
+            if found.options.get(key) != value and not (mended and key == "category"):
                 raise InputError(f"{output}: was made with another {key}; choose another folder, or remove this one")
         notes = {name: list(said) for name, said in found.notes.items()}
-        return cls(options, found.stamps, notes, found.written, found.up, output)
+        stamps = dict.fromkeys(found.stamps, "") if mended else found.stamps  # of a spec that was mended, all anew
+        return cls(options, stamps, notes, found.written, found.up, output)
 
     def add(self, name: str, stamp: str, found: ImportedModel, files: list[Path]) -> None:
         """A model was written into these ``files``."""

@@ -34,6 +34,8 @@ class MeshFiles:
     """With all that is in it, besides the URDF's own folder, or its ROS package."""
     skipped: list[str] = field(default_factory=list)
     """Names of those that were missing, where ``missing`` says to skip them."""
+    empty: list[str] = field(default_factory=list)
+    """Names of those without a triangle."""
 
     def find(self, filename: str) -> Path | None:
         """The file in one of these folders, with or without its package's name; None where it is in none."""
@@ -88,6 +90,8 @@ def _shape(link: str, geometry: Any, files: MeshFiles) -> Mesh | None:
         cure = "restore it, name the folder that it is in (--mesh-folder), or use what is there (--missing-meshes skip)"
         raise InputError(f"{files.urdf}: mesh {geometry.mesh.filename!r} of link {link!r} is missing; {cure}")
     mesh, scale = _load_mesh(file), geometry.mesh.scale
+    if not len(mesh.faces):
+        files.empty.append(geometry.mesh.filename)
     scale = np.ones(3) if scale is None else np.broadcast_to(_numbers(scale, (1, 3), owner), 3)
     faces = mesh.faces[:, ::-1] if np.prod(scale) < 0 else mesh.faces
     return Mesh(mesh.vertices * scale, faces)

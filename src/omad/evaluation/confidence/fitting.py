@@ -23,7 +23,7 @@ from omad.objects.model import ObjectModel
 from ..calibration import area_under_roc, expected_calibration_error
 from ..evaluate import true_pose
 from ..metrics import pose_errors
-from .views import Example, examples
+from .views import HEAPS, OTHERS, Example, examples
 
 BATCH = 64
 HIDDEN = 12
@@ -63,9 +63,12 @@ class Answers:
 
 
 def check_views(views: int) -> None:
-    """Raises InputError where so many views are too few for ``fit``, whatever they show."""
-    if views < FEWEST:
-        raise InputError(f"views: are {views}, but at least {FEWEST} must show the category; give more")
+    """Raises InputError where so many views are too few for ``fit``, as some show other things."""
+    share = 1 - OTHERS - HEAPS
+    needed = math.ceil(1.1 * FEWEST / share)  # by chance they may be fewer
+    if views < needed:
+        said = f"views: are {views}, {share:.0%} of which show the category, and at least {FEWEST} must"
+        raise InputError(f"{said}; give more, from {needed} on")
 
 
 def answered(estimator: Estimator, models: Sequence[ObjectModel], views: int, seed: int) -> Answers:
