@@ -151,6 +151,8 @@ def test_detect_names_a_wrong_depth_scale(capsys):
     assert [warning for warning in found["warnings"] if warning.endswith("10 times too small; --depth-scale 0.001")]
     Image.fromarray(np.full((480, 640), 900, np.uint16)).save("wall.png")
     assert answer(capsys, "detect", "wall.png", *K, "--categories", "laptop")["support_plane"] is not None
+    assert run(["detect", "wall.png", *K, "--categories", "laptop"]) == 0
+    assert "Nothing stands before table, floor and walls" in capsys.readouterr().out
 
 
 def test_an_id_without_a_mask_is_refused(capsys):

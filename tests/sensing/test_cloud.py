@@ -7,8 +7,8 @@ from omad.geometry.back_projection import back_projected, pixels_at
 from omad.geometry.camera import Camera
 from omad.geometry.lens import Distortion
 from omad.sensing.cutting.cloud import BORDER, CELLS, COARSE, Cloud
+from omad.sensing.cutting.footprints import DIRECTIONS, axes_of, within
 from omad.sensing.cutting.planes import _votes
-from omad.sensing.cutting.tables import DIRECTIONS, _axes, _within
 
 CAMERA = Camera(64, 48, 60.0, 61.0, 30.3, 24.1)
 
@@ -73,8 +73,8 @@ def test_votes_are_counts() -> None:
 
 def test_within_an_outline_is_short_of_it_in_all_directions() -> None:
     seen, rng = cloud(), np.random.default_rng(0)
-    axes, outline = _axes(np.array([0.0, -0.6, -0.8, -1.0])), rng.uniform(0.1, 0.9, 16).astype(np.float32)
+    axes, outline = axes_of(np.array([0.0, -0.6, -0.8, -1.0])), rng.uniform(0.1, 0.9, 16).astype(np.float32)
     reach = DIRECTIONS @ axes @ seen.points
     expected = (reach <= outline[:, None]).all(0)
     assert 0.05 < expected.mean() < 0.95
-    assert np.count_nonzero(_within(outline, axes, seen.points) != expected) <= 1  # rounding
+    assert np.count_nonzero(within(outline, axes, seen.points) != expected) <= 1  # rounding

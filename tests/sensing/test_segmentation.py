@@ -10,7 +10,9 @@ from scipy.spatial import KDTree
 
 from omad.data.rendering.depth_noise import ON, NoiseLevel
 from omad.data.rendering.tabletop import Surroundings, Tabletop, draw_tabletop
-from omad.sensing.cutting.clusters import GAP, SPARSE, VOXEL, prominent_cluster
+from omad.sensing.cutting.cloud import Cloud
+from omad.sensing.cutting.clusters import GAP, SPARSE, VOXEL, all_clusters, prominent_cluster
+from omad.sensing.cutting.pieces import joined
 from omad.sensing.cutting.segmentation import segment_on_plane, things_before_planes
 from omad.sensing.observation import Observation
 
@@ -112,6 +114,33 @@ def test_noise_of_a_plane_is_no_thing_and_does_not_join_things() -> None:
     assert 0.001 < found.lowest < 0.05
 
 
+@pytest.mark.parametrize(
+    ("across", "up", "plane", "one"),
+    [
+        (0.0, 0.3, (0, -1, 0, -1), True),
+        (0.8, 0.3, (0, -1, 0, -1), False),  # beside it
+        (0.0, 0.0, (0, -1, 0, -1), False),  # in the angle between its parts: both stand
+        (0.0, 1.5, (0, -1, 0, -1), False),  # a lamp at the ceiling
+        (0.0, 0.3, (0, 0, -1, -3), False),  # before a wall
+    ],
+)
+def test_what_hangs_in_the_air_over_a_thing_is_a_piece_of_it(across, up, plane, one) -> None:
+    blocks = np.random.default_rng(0).random((2, 500, 3))
+    standing = blocks[0] * (0.6, 0.8, 0.6) + (-0.3, 0.2, 2.0)
+    other = blocks[1] * (0.4, 0.3, 0.3) + (across - 0.2, 0.7 - up, 1.8)
+    seen = Cloud.of(np.concatenate([other, standing]))
+    things = joined(seen, [np.arange(500, 1000), np.arange(500)], np.array([plane], dtype=float))
+    assert len(things) == 2 - one
+    assert np.array_equal(np.sort(np.concatenate(things)), np.arange(1000))
+
+
+def test_what_is_half_as_large_as_its_neighbour_is_a_thing_of_its_own() -> None:
+    edge = np.stack(np.mgrid[:40, :40], -1).reshape(-1, 2) / 40 - 0.5
+    large, half, small = (np.insert(size * edge, 2, 2.0, axis=1) for size in (0.8, 0.4, 0.2))
+    seen = np.concatenate([large, half + (0.68, 0, 0), small + (-0.58, 0, 0)])
+    assert [len(thing) for thing in all_clusters(seen.T.astype(np.float32), 50)] == [3200, 1600]
+
+
 def test_of_a_neighbour_that_reaches_in_nothing_is_taken() -> None:
     rows, columns = (axis.ravel() for axis in np.mgrid[:120, :160])
     ray = np.stack([(columns - 79.5) / 160, (rows - 59.5) / 160, np.ones(len(rows))], 1)
@@ -162,6 +191,12 @@ def test_what_stands_on_a_table_over_a_floor_is_found(noise: NoiseLevel | None, 
     assert there == there_too
     assert found >= on_board - 1 >= 0.8 * there
     assert planes >= 2 * boards == 6
+
+
+def test_however_far_the_floor_its_noise_joins_no_things() -> None:
+    drawn = draw_tabletop(("dishwasher", "drawer"), (11022, 7), noise=ON, surroundings=Surroundings(wall=True))
+    assert np.median(drawn.depth) > 10
+    assert things_found(drawn) == (5, 5, 2)
 
 
 @pytest.mark.parametrize("columns", [60, 150, 300])

@@ -266,7 +266,7 @@ class Detect(CategoriesCommand):
         write_json(self.output / "detect.json", record)
         picture.save(detection_picture.figure(frame, found, self.input.name), self.output / "detect.png")
         named = sum(one.category is not None for one in found)
-        print(f"{self.input}: {named} objects, {len(found) - named} other things -> {self.output}", file=sys.stderr)
+        print(f"{self.input}: objects: {named}, other things: {len(found) - named} -> {self.output}", file=sys.stderr)
         return Answer(record, detections_text)
 
 
@@ -281,11 +281,12 @@ def detections_text(answer: dict[str, Any]) -> str:
             states += " (doubtful)"
         name, sure = called(found["likely"]), chance(found["likely_probability"])
         rows.append([str(number), name, sure, box, _vector(found["centre"]), states])
+    seen = table(rows) if answer["objects"] else "Nothing stands before table, floor and walls where it was looked."
     if not answer["too_flat"]:
-        return table(rows)
-    names, limit = " and ".join(answer["too_flat"]), f"{1000 * answer['lowest']:.0f} mm"
+        return seen
+    names, limit = " or ".join(answer["too_flat"]), f"{1000 * answer['lowest']:.0f} mm"
     flat = f"{names} may lie unseen: what rises less than about {limit} over a table cannot be told from it by depth"
-    return f"{table(rows)}\n{flat}; give omad estimate a mask of it."
+    return f"{seen}\n{flat}; give omad estimate a mask of it."
 
 
 def nearest_text(answer: dict[str, Any]) -> str:

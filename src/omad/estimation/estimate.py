@@ -225,7 +225,7 @@ class Estimate(PoseEstimate):
             seconds=self.seconds | {"surface": time.perf_counter() - began},
         )
 
-    @property
+    @cached_property
     def hulls(self) -> tuple[Mesh, ...]:
         """Of each part the convex hull of its keypoints, canonical space at rest."""
         part_of = np.array(self.category.part_of_keypoint)

@@ -7,17 +7,18 @@ from collections.abc import Sequence
 from dataclasses import astuple, dataclass
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from omad.common.arrays import as_doubles
 from omad.data.rendering.rasteriser import render
 from omad.geometry.camera import Camera
 from omad.geometry.mesh import Mesh
+from omad.geometry.rigid import diagonal
 from omad.model.prior import OmadPrior
 from omad.model.surfaces.agreement import Agreement, Overlay
 from omad.sensing.observation import Observation
 
 from .estimate import Estimate
+from .nearest import nearest
 
 PIXELS = 96
 """Across the picture in which model and cloud are compared."""
@@ -53,7 +54,7 @@ class Evidence:
 def measure_evidence(observation: Observation, estimate: Estimate, prior: OmadPrior) -> Evidence:
     """Compare an estimate with its observation and with the objects that its network was trained on."""
     points = observation.points[:: -(-len(observation.points) // MAX_POINTS)].astype(np.float64)
-    size = float(np.linalg.norm(np.ptp(points, axis=0)))
+    size = diagonal(points)
     surface = _visible(estimate, points)
     off = np.square((estimate.keypoints - estimate.observed_keypoints) / estimate.keypoint_std[:, None])
     unusual = estimate.beta - as_doubles(prior.beta_mean)
@@ -98,4 +99,5 @@ def _apart(points: np.ndarray, others: np.ndarray, size: float) -> float:
     """Mean distance of points (N, 3) from the nearest of the others, as a share of ``size``, ``FAR`` at most."""
     if not len(points) or not len(others):
         return FAR
-    return float(np.minimum(KDTree(others).query(points)[0] / max(size, 1e-9), FAR).mean())
+    nearby = others[nearest(points.astype(np.float32), others.astype(np.float32))]
+    return float(np.minimum(np.linalg.norm(points - nearby, axis=1) / max(size, 1e-9), FAR).mean())

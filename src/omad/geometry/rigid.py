@@ -87,6 +87,11 @@ def box(points: np.ndarray) -> np.ndarray:
     return np.stack([columns.min(1), columns.max(1)])
 
 
+def diagonal(points: np.ndarray) -> float:
+    """Length of that of the box of points (N, D)."""
+    return float(np.linalg.norm(np.subtract(*box(points))))
+
+
 def bounding_sphere(points: np.ndarray) -> tuple[np.ndarray, float]:
     """Centre (3,) of the box of points (N, 3), and how far the farthest of them is from it."""
     centre = box(points).sum(0) / 2

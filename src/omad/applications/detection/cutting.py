@@ -7,6 +7,7 @@ import numpy as np
 
 from omad.common.errors import NothingSeen
 from omad.estimation.checks import USUAL_SIZE, wrong_scale
+from omad.geometry.rigid import diagonal
 from omad.sensing.cutting.segmentation import things_before_planes
 from omad.sensing.observation import Observation
 
@@ -51,7 +52,7 @@ class ObjectFinder:
         if not things:
             raise NothingSeen(f"no {names}: nothing stands {where}; {cure}")
         if not candidates:
-            sizes = sorted(float(np.linalg.norm(np.ptp(thing.observation.points, axis=0))) for thing in things)
+            sizes = sorted(diagonal(thing.observation.points) for thing in things)
             count = len(things)
             what = f"{count} things of {sizes[0]:.2g} to {sizes[-1]:.2g} m stand {where}, none is about as large"
             if count == 1:

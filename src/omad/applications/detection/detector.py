@@ -14,6 +14,7 @@ from omad.estimation.categories.proposals import Proposals
 from omad.estimation.checks import FACTORS, USUAL_SIZE, WrongScale, wrong_scale
 from omad.estimation.estimate import Estimate, chance, plain
 from omad.geometry.rigid import box as bounds
+from omad.geometry.rigid import diagonal
 from omad.model.checkpoint import shipped_categories
 from omad.model.proposals.network import Proposer, shipped_proposer
 from omad.objects.category import Category
@@ -168,7 +169,7 @@ class Detector:
     def scale_doubts(self, look: Look, depth_scale: float | None) -> Iterator[str]:
         """Where a wrong ``depth_scale``, metres per number where known, may be why nothing is of the categories: at
         another scale some things are objects, or most are of no object's size, whatever its category."""
-        sizes = [float(np.linalg.norm(np.ptp(one.observation.points, axis=0))) for one in look.detections]
+        sizes = [diagonal(one.observation.points) for one in look.detections]
         if not sizes or any(one.category for one in look.detections):
             return
         what, best, scale = f"{len(sizes)} things of up to {max(sizes):.2g} m, none of them an object", 0.0, None

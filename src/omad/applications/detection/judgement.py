@@ -21,6 +21,7 @@ from omad.estimation.checks import USUAL_SIZE
 from omad.estimation.estimate import Estimate
 from omad.estimation.evidence import explanation, measure_evidence
 from omad.estimation.part_labels import OUTSIDE
+from omad.geometry.rigid import diagonal
 from omad.model.fronts.network import shipped_front_net
 from omad.model.prior import OmadPrior
 from omad.objects.category import Category
@@ -37,7 +38,7 @@ LYING = 0.5
 
 def size_ratio(points: np.ndarray, category: Category) -> float:
     """Size of a cloud (N, 3) in metres, in units of the category's usual one."""
-    return float(np.linalg.norm(np.ptp(points, axis=0))) / (USUAL_SIZE * category.metres_per_unit)
+    return diagonal(points) / (USUAL_SIZE * category.metres_per_unit)
 
 
 def against(thing: Observation, estimate: Estimate, prior: OmadPrior, planes: np.ndarray, doubt: float) -> np.ndarray:

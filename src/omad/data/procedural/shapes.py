@@ -174,5 +174,6 @@ def spline(points: Sequence[Sequence[float] | np.ndarray], count: int) -> np.nda
 
 
 def _outward(vertices: np.ndarray, faces: np.ndarray) -> Mesh:
-    volume = np.linalg.det(vertices[faces]).sum()
+    with np.errstate(invalid="ignore"):  # of numbers that are none, which a check names
+        volume = np.linalg.det(vertices[faces]).sum()
     return Mesh(vertices, faces if volume > 0 else faces[:, ::-1])

@@ -81,7 +81,8 @@ class Cloud:
     def heights(self, plane: np.ndarray) -> tuple[np.ndarray, float]:
         """(N,) over a ``plane`` (4,) n . p = d as a share of ``scale``, averaged near it over each image cell; and the
         plane's half thickness."""
-        height = _heights(self.points, plane.astype(np.float32), self.scale, self.cell)
+        height = _heights(self.points, plane.astype(np.float32), self.scale)
+        _average(height, self.cell, np.float32(max(COARSE, 3 * scatter(some_of(height)))))
         return height, thickness(some_of(height))
 
 
@@ -103,10 +104,14 @@ def distances(points: np.ndarray) -> np.ndarray:
 
 def thickness(height: np.ndarray) -> float:
     """Half thickness of a plane, from the scatter of the points on it; all relative."""
+    return float(np.clip(3 * scatter(height), FINE, COARSE))
+
+
+def scatter(height: np.ndarray) -> float:
+    """Standard deviation of the heights of points on a plane, those within ``COARSE``."""
     height = np.abs(height)
     near = height[height < COARSE]
-    sigma = 1.4826 * float(np.median(near)) if len(near) else 0.0
-    return float(np.clip(3 * sigma, FINE, COARSE))
+    return 1.4826 * float(np.median(near)) if len(near) else 0.0
 
 
 def _rays(points: np.ndarray) -> np.ndarray:
@@ -135,16 +140,22 @@ def _measured(points, low, steps, far, middle):
 
 
 @jit
-def _heights(points, plane, scale, cell):
-    """(N,) float32, as ``Cloud.heights`` gives them."""
-    total, count = np.zeros((CELLS + 1) ** 2), np.zeros((CELLS + 1) ** 2)
+def _heights(points, plane, scale):
+    """(N,) float32, of points (3, N) over a plane (4,), in their ``scale`` (N,)."""
     height = np.empty_like(scale)
     a, b, c, d = plane
     for i in range(len(height)):
         height[i] = (a * points[0, i] + b * points[1, i] + c * points[2, i] - d) / scale[i]
+    return height
+
+
+@jit
+def _average(height, cell, reach):
+    """Of heights (N,) those within ``reach`` become the mean of these in their ``cell`` (N,)."""
+    total, count = np.zeros((CELLS + 1) ** 2), np.zeros((CELLS + 1) ** 2)
     at, of_cell, in_cell = 0, 0.0, 0.0  # neighbours mostly share a cell: its sums are not stored after each of them
     for i in range(len(height)):
-        if abs(height[i]) < COARSE:
+        if abs(height[i]) < reach:
             if cell[i] != at:
                 total[at], count[at] = of_cell, in_cell
                 at = cell[i]
@@ -154,6 +165,5 @@ def _heights(points, plane, scale, cell):
     total[at], count[at] = of_cell, in_cell
     mean = (total / count).astype(np.float32)
     for i in range(len(height)):
-        if abs(height[i]) < COARSE:
+        if abs(height[i]) < reach:
             height[i] = mean[cell[i]]
-    return height

@@ -20,7 +20,7 @@ GAP = 0.1
 """Clusters this near to the chosen one, as a share of its size, are parts of it."""
 FINE = 0.012
 """As VOXEL, where all things are wanted: neighbours are not to be run together, and pieces find their thing anyway."""
-PIECE = 0.6
+PIECE = 0.4
 """What is smaller than this share of a thing and near to it is a piece of it."""
 
 

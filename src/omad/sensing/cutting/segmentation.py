@@ -6,6 +6,7 @@ import numpy as np
 
 from .cloud import Cloud, Frame, some_of
 from .clusters import all_clusters, prominent_cluster
+from .pieces import joined
 from .planes import take_planes_away
 from .tables import take_tables_away
 
@@ -80,7 +81,7 @@ def things_before_planes(points: np.ndarray, least: int) -> Things:
     before = take_tables_away(cloud, take_planes_away(cloud))
     index = np.flatnonzero(before.left)
     clusters = [index[thing] for thing in all_clusters(cloud.points.take(index, 1), least)]
-    return Things(clusters, before.planes, before.lowest)
+    return Things(joined(cloud, clusters, before.planes), before.planes, before.lowest)
 
 
 def things_alone(points: np.ndarray, least: int) -> list[np.ndarray]:

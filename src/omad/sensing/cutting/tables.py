@@ -6,20 +6,15 @@ from functools import partial
 
 import numpy as np
 
-from omad.common.compiled import jit
-
 from .cloud import Cloud, every, some_of
 from .clusters import all_clusters
+from .footprints import PARALLEL, UP, axes_of, outline_of, width_of, within
 from .planes import MIN_SHARE, Before, find_plane
 
 MAX_BEHIND = 0.35
 """Of a table's points, with what stands on it: edges and legs, which are seen below its plane."""
 MIN_OF_THING = 0.2
 """A table holds this share of them at least."""
-UP = 0.25
-"""Cosine between the image's up and a table's normal, at least; fronts of cabinets look to the camera or down."""
-PARALLEL = 0.97
-"""Cosine between the normals of a table and its floor, at least."""
 INSIDE, BESIDE = 0.7, 0.05
 """Of what rises from a table, this share stands within its outline, or beside it by this share of its size: a thing may
 hide the edge that it stands at, and a lid lean out over it."""
@@ -31,8 +26,6 @@ MIN_FLOOR = 0.02
 """Share of all points on a floor that is looked for as there is a table."""
 GROWN = 0.02
 """What is taken away with a table may lie so far beyond its outline, as a share of its size."""
-DIRECTIONS = np.stack([function(np.arange(16) * (np.pi / 8)) for function in (np.cos, np.sin)], 1).astype(np.float32)
-"""(16, 2) in a plane; how far something reaches in each is its outline."""
 LEAST = 20
 """Points of the smallest thing on a table, of those thinned."""
 
@@ -50,7 +43,7 @@ def take_tables_away(cloud: Cloud, before: Before) -> Before:
             continue
         plane, outline = table
         height, half = cloud.heights(plane)
-        above = before.left & ~((height <= half) & _within(outline, _axes(plane), cloud.points))
+        above = before.left & ~((height <= half) & within(outline, axes_of(plane), cloud.points))
         before = replace(_with(before, above, plane), lowest=max(before.lowest, half * cloud.middle))
         if (_over_parallel(plane, before.planes[:-1]) > 0).any():
             continue
@@ -78,20 +71,15 @@ def _table_of(thing: Cloud, before: Before) -> tuple[np.ndarray, np.ndarray] | N
     on, above = np.flatnonzero(np.abs(height) < half), np.flatnonzero(height > half)
     if len(on) < MIN_OF_THING * len(height):
         return None
-    axes = _axes(plane)
-    outline = _outline(axes, thing.points, on)
-    width = _width(outline)
+    axes = axes_of(plane)
+    outline = outline_of(axes, thing.points, on)
+    width = width_of(outline)
     things = all_clusters(thing.points.take(above, 1), LEAST)
-    if not things or _within(outline + BESIDE * width.max(), axes, thing.points)[above].mean() < INSIDE:
+    if not things or within(outline + BESIDE * width.max(), axes, thing.points)[above].mean() < INSIDE:
         return None
-    if any((_width(_outline(axes, thing.points, above[one])) > WIDE * width).any() for one in things):
+    if any((width_of(outline_of(axes, thing.points, above[one])) > WIDE * width).any() for one in things):
         return None
     return plane, outline + GROWN * width.max()
-
-
-def _width(outline: np.ndarray) -> np.ndarray:
-    """(8,) of an outline (16,), from each direction to the opposite one."""
-    return outline[:8] + outline[8:]
 
 
 def _parallel(plane: np.ndarray, normals: np.ndarray) -> np.ndarray:
@@ -102,37 +90,3 @@ def _parallel(plane: np.ndarray, normals: np.ndarray) -> np.ndarray:
 def _over_parallel(plane: np.ndarray, planes: np.ndarray) -> np.ndarray:
     """Metres that a table (4,) is over each of ``planes`` (P, 4) that may be its floor."""
     return plane[3] - planes[_parallel(plane, planes[:, :3]), 3]
-
-
-def _axes(plane: np.ndarray) -> np.ndarray:
-    """(2, 3) float32 directions that span a plane (4,)."""
-    return np.linalg.svd(plane[None, :3])[2][1:].astype(np.float32)
-
-
-@jit
-def _outline(axes, points, index):
-    """(16,) how far points (3, N), by their ``index`` (M,), reach in DIRECTIONS in the plane of ``axes`` (2, 3)."""
-    outline = np.full(len(DIRECTIONS), -np.inf, dtype=np.float32)
-    for i in index:
-        across = axes[0, 0] * points[0, i] + axes[0, 1] * points[1, i] + axes[0, 2] * points[2, i]
-        along = axes[1, 0] * points[0, i] + axes[1, 1] * points[1, i] + axes[1, 2] * points[2, i]
-        for k in range(len(outline)):
-            outline[k] = max(outline[k], DIRECTIONS[k, 0] * across + DIRECTIONS[k, 1] * along)
-    return outline
-
-
-@jit
-def _within(outline, axes, points):
-    """(N,) bool, which of points (3, N) lie over, on or under what has an outline (16,) in the plane of ``axes``
-    (2, 3)."""
-    inside = np.empty(points.shape[1], dtype=np.bool_)
-    (a, b, c), (d, e, f) = axes
-    for i in range(len(inside)):
-        x, y, z = points[0, i], points[1, i], points[2, i]
-        across, along = a * x + b * y + c * z, d * x + e * y + f * z
-        within = True
-        for k in range(8):  # all of them: the loop takes several points at once
-            reach = DIRECTIONS[k, 0] * across + DIRECTIONS[k, 1] * along
-            within &= (reach <= outline[k]) & (-reach <= outline[k + 8])  # that of the opposite direction
-        inside[i] = within
-    return inside
