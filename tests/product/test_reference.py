@@ -69,7 +69,7 @@ def asked_of(listed: Any) -> Iterator[Any]:
             continue
         if dataclasses.is_dataclass(kind):
             yield kind
-        elif inspect.getdoc(vars(kind).get("__init__")) not in (None, inspect.getdoc(object.__init__)):
+        elif "__init__" in vars(kind) and kind.__init__.__doc__ not in (None, object.__init__.__doc__):
             yield vars(kind)["__init__"]
         for name, value in vars(kind).items():
             value = next((call for at in ("fget", "func", "__func__") if (call := getattr(value, at, None))), value)
