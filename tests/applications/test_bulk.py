@@ -377,6 +377,7 @@ def test_results_go_on_where_they_stopped(tmp_path, suffix):
         "residual",
         "beta",
         "T_camera_base",
+        "base_std",
         "warnings",
         "mirrored",
         "hand_probability",

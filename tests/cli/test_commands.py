@@ -37,7 +37,7 @@ def state_deg(estimate: dict) -> float:
 def test_estimate_keeps_its_promise(capsys):
     found = answer(capsys, "estimate", save_png("a.png"), *LAPTOP, *K)
     promised = "category converged residual beta T_camera_base joints parts keypoints initial seconds warnings checks"
-    promised += " input output probability doubtful mirrored hand_probability"
+    promised += " input output probability doubtful mirrored hand_probability base_std"
     assert set(promised.split()) == set(found)
     joint = found["joints"][0]
     promised = "name type state state_std interval_50 interval_90 limits fraction axis pivot"
@@ -318,7 +318,7 @@ def test_an_interrupted_training_goes_on_where_it_was(capsys, monkeypatch):
             assert resumed[name] == pytest.approx(whole[name], abs=1e-6), name
     assert run([*train, "prior", "--seed", "1"]) == 2
     told = capsys.readouterr().err
-    assert "settings" in told
+    assert "other seed (0, here 1)" in told
     assert "same options" in told
 
     net = ["train", "net", *LAPTOP, "--prior", "prior", "--steps", "3", *SMALL, "--output", "net"]

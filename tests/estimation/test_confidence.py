@@ -62,6 +62,7 @@ def signals(batch: int, joints: int, seed: int = 0) -> Signals:
 def test_without_confidence_answers_are_the_least_squares_own(estimate: Estimate) -> None:
     [joint] = estimate.joints
     assert joint.state_std == np.sqrt(estimate.covariance[6, 6])
+    assert estimate.base_std == pytest.approx(np.sqrt(estimate.covariance.diagonal()[:6]))
     assert (estimate.probability, estimate.doubtful) == (None, None)
     for level in (0.1, 0.5, 0.9, 0.99):
         assert joint.interval(level) == pytest.approx(norm.interval(level, joint.state, joint.state_std))
@@ -202,6 +203,16 @@ def test_the_file_says_what_was_put_into_it(checkpoint: Path) -> None:
     assert json.loads(estimate.to_json())["probability"] == estimate.probability
 
 
+def test_the_base_is_as_sure_as_the_joints_and_was_measured(plain: omad.Estimator) -> None:
+    told = replace(always(LAPTOP, 0.02, 0.11, 0.8), base=(2.0, 3.0))
+    estimate = omad.Estimator(plain.net, plain.config, confidence=told)(observed())
+    least = np.sqrt(estimate.covariance.diagonal())
+    wider = np.sqrt(estimate.joints[0].state_std / least[6])
+    assert wider != pytest.approx(1, abs=0.05)
+    assert estimate.base_std == pytest.approx(least[:6] * wider * [2, 2, 2, 3, 3, 3])
+    assert estimate.to_dict()["base_std"] == estimate.base_std.tolist()
+
+
 @pytest.mark.parametrize(
     ("damage", "told"),
     [
@@ -215,6 +226,7 @@ def test_the_file_says_what_was_put_into_it(checkpoint: Path) -> None:
         (lambda text: text.replace('"misfit"', '"mischief"'), "of another version"),
         (lambda text: text.replace('"weights": "', '"weights": "0'), "other weights"),
         (lambda text: text.replace('"shared": 0.5', '"shared": 1.5'), "shared is 1.5"),
+        (lambda text: text.replace('"base": [1.0, ', '"base": [-1.0, '), r"base is \(-1.0, 1.0\)"),
     ],
 )
 def test_a_damaged_file_is_refused(checkpoint: Path, damage, told: str) -> None:

@@ -1,6 +1,7 @@
 """Fitting confidence, on numbers whose distribution is known, and the views that it is fitted to."""
 
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +25,8 @@ from omad.evaluation.confidence.views import HEAPS, OTHERS, examples
 
 VIEWS = 2000
 TO_TEST = FittedTo("tests", VIEWS, "0")
+BASE = 0.6, 2.0
+"""How many times as far as by least squares its base is turned, and moved."""
 
 
 def answers(seed: int, half_turned: float = 0.0, front: float = 0.0) -> tuple[Answers, np.ndarray]:
@@ -35,7 +38,10 @@ def answers(seed: int, half_turned: float = 0.0, front: float = 0.0) -> tuple[An
     turned = (rng.random(VIEWS) < half_turned) & (image[:, 3] > 0)
     errors = np.where(turned, rng.uniform(1.0, 2.0, VIEWS), errors)
     likely = 1 / (1 + np.exp(-(0.5 + 2.0 * image[:, 1] + front * image[:, -1])))
-    return Answers(Signals(image, joint, np.zeros((VIEWS, 4))), errors[:, None], rng.random(VIEWS) < likely), likely
+    right, least = rng.random(VIEWS) < likely, np.full((VIEWS, 1), np.exp(-3))
+    wider = np.exp(0.35 * joint[:, 0, :1])  # half of the way, in logarithms, that a joint's deviation is wider
+    base = np.abs(rng.normal(size=(VIEWS, 6))) * wider * np.repeat(BASE, 3)
+    return Answers(Signals(image, joint, np.zeros((VIEWS, 4))), errors[:, None], right, base, least), likely
 
 
 @pytest.fixture(scope="module")
@@ -86,6 +92,8 @@ def test_probabilities_are_those_that_answers_were_drawn_with(fitted: Confidence
     assert found["area_under_roc"] == pytest.approx(area_under_roc(likely, unseen.right), abs=0.02)
     assert found["right"] == unseen.right.mean()
     assert (found["covered_50"], found["covered_90"]) == pytest.approx((0.5, 0.9), abs=0.04)
+    assert fitted.base == pytest.approx(BASE, rel=0.1)
+    assert (found["rotation_covered_68"], found["translation_covered_68"]) == pytest.approx((0.68, 0.68), abs=0.04)
 
 
 @pytest.mark.slow
@@ -104,11 +112,11 @@ def test_the_front_is_asked_for_where_it_tells_right_from_wrong(
 def test_other_things_count_for_the_probability_alone(errors_alone: None) -> None:
     seen, _ = answers(0)
     other = np.arange(VIEWS) % 4 == 0
-    seen = Answers(seen.signals, np.where(other[:, None], np.nan, seen.errors), seen.right & ~other)
+    seen = replace(seen, errors=np.where(other[:, None], np.nan, seen.errors), right=seen.right & ~other)
     assert fit(seen, LAPTOP, TO_TEST).errors(np.zeros(len(WITHOUT_FRONT) + len(JOINT) + 1))[0] == pytest.approx(
         -3 + np.log(norm.isf(0.25)), abs=0.2
     )
-    few = Answers(seen.signals, np.where(np.arange(VIEWS)[:, None] < 100, seen.errors, np.nan), seen.right)
+    few = replace(seen, errors=np.where(np.arange(VIEWS)[:, None] < 100, seen.errors, np.nan))
     with pytest.raises(InputError, match=r"views: 75 of them .* give more"):
         fit(few, LAPTOP, TO_TEST)
 

@@ -63,7 +63,7 @@ def made_up(parents: tuple[int, ...], types: tuple[str, ...]) -> Estimate:
     posed = PosedObject(np.zeros(2), still, canonical, axes, pivots, canonical)
     estimate = Estimate(
         **vars(posed), joints=(), category=category, observed_keypoints=canonical, keypoint_std=np.ones(len(canonical)),
-        covariance=np.eye(2), converged=True, residual=0.0, labelled=LabelledPoints.none(),
+        covariance=np.eye(2), base_std=np.ones(6), converged=True, residual=0.0, labelled=LabelledPoints.none(),
         initial=PoseEstimate(**vars(posed), joints=()),
     )  # fmt: skip
     limits = tuple(

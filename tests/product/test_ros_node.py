@@ -74,6 +74,13 @@ def test_messages_are_those_that_ros_reads(store, estimate):
         t, q = one.transform.translation, one.transform.rotation
         poses.append(rigid(Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix(), np.array([t.x, t.y, t.z])))
     assert poses[0] == pytest.approx(estimate.T_camera_base, abs=1e-6)
+    kind = "geometry_msgs/msg/PoseWithCovarianceStamped"
+    base = read_back(store, make.base_pose(estimate, header(store)), kind).pose
+    place, turn = base.pose.position, sent[0].transform.rotation
+    assert [place.x, place.y, place.z] == pytest.approx(estimate.T_camera_base[:3, 3])
+    assert [base.pose.orientation.x, base.pose.orientation.w] == [turn.x, turn.w]
+    assert np.sqrt(base.covariance[::7]) == pytest.approx(np.roll(estimate.base_std, 3))  # translation first
+    assert base.covariance[1] == base.covariance[6] != 0
     hinge = estimate.joints[0]  # the screen's frame stands on its axis
     apart = (poses[0] @ poses[1])[:3, 3] - hinge.pivot
     assert np.linalg.norm(apart - (apart @ hinge.axis) * hinge.axis) < 1e-6
@@ -194,11 +201,11 @@ def test_the_node_answers_each_image(store, published, monkeypatch):
     )
     running = node.OmadNode()
     running.answer(*inputs(store)[:2])
-    assert [topic for topic, _ in published] == ["probability", "joint_states", "tf", "markers"]
+    assert [topic for topic, _ in published] == ["probability", "joint_states", "base_pose", "tf", "markers"]
     assert published[0][1].data > 0.5
-    assert [sent.child_frame_id for sent in published[2][1]] == ["laptop/base", "laptop/screen"]
+    assert [sent.child_frame_id for sent in published[3][1]] == ["laptop/base", "laptop/screen"]
     running.answer(*inputs(store)[:2])  # an image that is late says nothing of the object
-    assert [topic for topic, _ in published[4:]] == ["warning"]
+    assert [topic for topic, _ in published[5:]] == ["warning"]
     depth, info, _ = inputs(store, 6)
     info.width = 320
     running.answer(depth, info)

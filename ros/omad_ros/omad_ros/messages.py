@@ -53,6 +53,21 @@ class Messages:
             found.append(self._make("geometry_msgs/TransformStamped", **stamped, transform=transform))
         return found
 
+    def base_pose(self, estimate: Estimate, header: Any) -> Any:
+        """geometry_msgs/PoseWithCovarianceStamped in the camera frame, as sure as ``Estimate.base_std`` says."""
+        told = ros_messages(estimate)["tf"]["transforms"][0]["transform"]
+        position = self._make("geometry_msgs/Point", **told["translation"])
+        orientation = self._make("geometry_msgs/Quaternion", **told["rotation"])
+        pose = self._make("geometry_msgs/Pose", position=position, orientation=orientation)
+        order = [3, 4, 5, 0, 1, 2]  # translation first
+        least = estimate.covariance[:6, :6]
+        wider = np.divide(estimate.base_std, np.sqrt(least.diagonal()), out=np.ones(6), where=least.diagonal() > 0)
+        covariance = (wider[:, None] * least * wider)[np.ix_(order, order)]
+        told = self._make(
+            "geometry_msgs/PoseWithCovariance", pose=pose, covariance=self.numbers(covariance.ravel().tolist())
+        )
+        return self._make("geometry_msgs/PoseWithCovarianceStamped", header=header, pose=told)
+
     def markers(self, estimate: Estimate, header: Any) -> Any:
         """visualization_msgs/MarkerArray in the camera frame: a mesh a part, an arrow a joint axis."""
         found = [

@@ -2,8 +2,9 @@
 
 Subscribes ``depth`` (sensor_msgs/Image, 16UC1 millimetres or 32FC1 metres), ``info`` (sensor_msgs/CameraInfo of that
 image) and with ``use_mask`` ``mask`` (sensor_msgs/Image, not zero on the object). Publishes ``joint_states``
-(sensor_msgs/JointState), ``probability`` (std_msgs/Float32, that the answer is right, 0 where there is none),
-``markers`` (visualization_msgs/MarkerArray) and transforms from the camera to the links.
+(sensor_msgs/JointState), ``base_pose`` (geometry_msgs/PoseWithCovarianceStamped), ``probability`` (std_msgs/Float32,
+that the answer is right, 0 where there is none), ``markers`` (visualization_msgs/MarkerArray) and transforms from the
+camera to the links.
 """
 
 import sys
@@ -12,7 +13,16 @@ from typing import Any
 
 import rclpy
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import Point, Pose, Quaternion, Transform, TransformStamped, Vector3
+from geometry_msgs.msg import (
+    Point,
+    Pose,
+    PoseWithCovariance,
+    PoseWithCovarianceStamped,
+    Quaternion,
+    Transform,
+    TransformStamped,
+    Vector3,
+)
 from message_filters import ApproximateTimeSynchronizer, Subscriber
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
@@ -31,7 +41,10 @@ from .perception import Perception
 
 CLASSES = {
     "builtin_interfaces": (Time,),
-    "geometry_msgs": (Point, Pose, Quaternion, Transform, TransformStamped, Vector3),
+    "geometry_msgs": (
+        *(Point, Pose, PoseWithCovariance, PoseWithCovarianceStamped),
+        *(Quaternion, Transform, TransformStamped, Vector3),
+    ),
     "sensor_msgs": (JointState,),
     "std_msgs": (ColorRGBA, Float32, Header),
     "visualization_msgs": (Marker, MarkerArray),
@@ -57,6 +70,7 @@ class OmadNode(Node):
         prefix = told["frame_prefix"] or f"{estimator.category.name}/"  # other robots' links are called base, too
         self.messages = Messages(types, prefix=prefix)
         self.states = self.create_publisher(JointState, "joint_states", QUEUE)
+        self.base_pose = self.create_publisher(PoseWithCovarianceStamped, "base_pose", QUEUE)
         self.probability = self.create_publisher(Float32, "probability", QUEUE)
         self.markers = self.create_publisher(MarkerArray, "markers", QUEUE)
         self.broadcaster = TransformBroadcaster(self)
@@ -83,6 +97,7 @@ class OmadNode(Node):
             self.markers.publish(make.nothing(header))
             return
         self.states.publish(make.joint_state(estimate, header))
+        self.base_pose.publish(make.base_pose(estimate, header))
         self.broadcaster.sendTransform(make.transforms(estimate, header))
         # surfaces that are fitted to what was seen take ten times as long as an answer
         self.markers.publish(make.markers(estimate.without_labels(), header))

@@ -124,6 +124,8 @@ class Estimate(PoseEstimate):
     """(M,) expected error of each observed keypoint per coordinate."""
     covariance: np.ndarray
     """(P, P) of (rotation vector, translation, joint states, beta): radians, metres, radians or metres, units."""
+    base_std: np.ndarray
+    """(6,) standard deviations of the base's rotation vector and translation in camera axes, radians and metres."""
     converged: bool
     """Whether the least squares came to rest."""
     residual: float
@@ -222,6 +224,7 @@ class Estimate(PoseEstimate):
             self,
             **vars(found),
             covariance=shrinkage[:, None] * self.covariance * shrinkage,
+            base_std=shrinkage[:6] * self.base_std,
             seconds=self.seconds | {"surface": time.perf_counter() - began},
         )
 
@@ -294,6 +297,7 @@ class Estimate(PoseEstimate):
                 "hand_probability": self.hand_probability,
                 "beta": self.beta,
                 "T_camera_base": self.T_camera_base,
+                "base_std": self.base_std,
                 "joints": self.joints,
                 "parts": [{"name": part.name, "T_camera_part": T, "points": count} for part, T, count in parts],
                 "keypoints": self.keypoints,

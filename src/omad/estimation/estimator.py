@@ -198,7 +198,7 @@ class Estimator:
 
     def moved(self, estimate: Estimate, state: Near, covariance: np.ndarray) -> Estimate:
         """The answer with another shape, pose and joint states, those of a filter say; ``covariance`` (P, P) theirs, of
-        least squares. Joints' deviations are as much larger or smaller than these say as the answer's own are."""
+        least squares. Deviations of joints and base are as much larger or smaller than these say as its own are."""
         turned = state.mirrored() if estimate.of_other_hand else state
         posed = self.answers.posed(turned.start(self.category, self.net.prior.learned_basis))
         std, before = (state_std(each[None], self.category) for each in (covariance, estimate.covariance))
@@ -206,7 +206,8 @@ class Estimator:
         std *= np.divide(told, before, out=np.ones_like(std), where=before > 0)
         [moved] = PoseEstimate.of(self.category, posed, std, tail)
         moved = moved.mirrored(self.category.turning) if estimate.of_other_hand else moved
-        return replace(estimate, **vars(moved), covariance=covariance)
+        variance = covariance.diagonal()[:6] / np.maximum(estimate.covariance.diagonal()[:6], 1e-30)
+        return replace(estimate, **vars(moved), covariance=covariance, base_std=estimate.base_std * np.sqrt(variance))
 
     def _together(self, views: Observation | Sequence[Observation], known: Known, poses: Any) -> list[Estimate]:
         if isinstance(views, Observation) or not views:

@@ -48,6 +48,7 @@ def _numbers(estimate: Estimate) -> dict[str, Any]:
             "hand_probability": estimate.hand_probability,
             "beta": estimate.beta,
             "T_camera_base": estimate.T_camera_base,
+            "base_std": estimate.base_std,
             "T_camera_part": estimate.T_camera_part,
             "joints": estimate.joints,
             "warnings": estimate.warnings,
@@ -177,7 +178,7 @@ def row_schema() -> Any:
     joint |= {f"interval_{level}": numbers for level in INTERVALS}
     columns = {"name": text, "refused": text, "category": text, "converged": truth, "probability": number}
     columns |= {"residual": number, "mirrored": truth, "hand_probability": number}
-    columns |= {"beta": numbers, "T_camera_base": pyarrow.list_(numbers)}
+    columns |= {"beta": numbers, "T_camera_base": pyarrow.list_(numbers), "base_std": numbers}
     columns |= {"T_camera_part": pyarrow.list_(pyarrow.list_(numbers))}
     columns |= {"joints": pyarrow.list_(pyarrow.struct(joint)), "warnings": pyarrow.list_(text)}
     return pyarrow.schema(columns)

@@ -98,7 +98,8 @@ class TrackedEstimate:
     def to_dict(self) -> dict[str, Any]:
         """Plain Python values: the ``estimate`` of ``Estimate.to_dict`` (null while lost) and each frame's own."""
         found = self.estimate.to_dict() if self.estimate else {}
-        kept = "joints T_camera_base beta mirrored hand_probability keypoints residual probability doubtful warnings"
+        kept = "joints T_camera_base base_std beta mirrored hand_probability keypoints residual"
+        kept += " probability doubtful warnings"
         own = {name: getattr(self, name) for name in ("time", "status", "restarted", "surprise")}
         single = self.single.joint_states.tolist() if self.single else None
         return own | {key: found.get(key) for key in kept.split()} | {"single_joint_states": single}

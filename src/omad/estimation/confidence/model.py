@@ -72,6 +72,9 @@ class Confidence:
     shared: float = SHARED
     """Correlation of the errors of joint states in views of one object from quite different sides: what is of the
     object, and no further view tells."""
+    base: tuple[float, float] = (1.0, 1.0)
+    """How many times as far as by least squares the base is turned and moved away from where it is, but for
+    ``widening``."""
 
     @property
     def asks_front(self) -> bool:
@@ -84,6 +87,11 @@ class Confidence:
         tail = np.logaddexp(0, ratio) / np.log(UPPER / MEDIAN)
         span = np.ptp(category.metric_limits, axis=1)
         return np.minimum(np.exp(median) * MEDIAN**-tail * category.state_units, span), tail
+
+    def base_spreads(self, base: np.ndarray, least: np.ndarray, told: np.ndarray) -> np.ndarray:
+        """``Estimate.base_std`` (B, 6), of that by least squares, ``base`` (B, 6), and of joint states' deviations
+        (B, J), by least squares and as ``spreads`` has them."""
+        return base * widening(least, told)[:, None] * np.repeat(self.base, 3)
 
     def probabilities(self, signals: Signals) -> np.ndarray:
         """(B,) that an answer is right."""
@@ -114,6 +122,8 @@ class Confidence:
         sizes = len(found.errors.mean), len(found.errors.straight), len(found.right.mean), len(found.right.straight)
         if not 0 <= found.shared <= 1:
             raise InputError(f"{path}: shared is {found.shared}, which is no share of one; {CURE}")
+        if not min(found.base) > 0:
+            raise InputError(f"{path}: base is {found.base}, of which both must be above zero; {CURE}")
         if found.category != category.name:
             raise InputError(f"{path}: is for {found.category}, not for {category.name}; {CURE}")
         if found.image not in (WITHOUT_FRONT, IMAGE) or found.joint != JOINT or sizes != (
@@ -121,6 +131,14 @@ class Confidence:
         ):  # fmt: skip
             raise InputError(f"{path}: field image, joint, errors or right: of another version; {CURE}")
         return found
+
+
+def widening(least: np.ndarray, told: np.ndarray) -> np.ndarray:
+    """(B,) how much wider the base's deviations are where the joint states' are ``told`` (B, J) to be wider than by
+    least squares, ``least`` (B, J): by the root of their ratio. States that were known tell nothing."""
+    counts = (least > 0) & (told > 0)
+    logs = np.log(np.where(counts, told, 1.0) / np.where(counts, least, 1.0))
+    return np.exp(logs.sum(1) / np.maximum(counts.sum(1), 1) / 2)
 
 
 def _identity(folder: Path) -> str:

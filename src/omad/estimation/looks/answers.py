@@ -52,7 +52,7 @@ class Answers:
         clouds = shown.clouds[:, -last.samples :]
         answers = last.frame, last.said, last.targets, refined, posed[:batch]
         signals = self._meter(shown.observations, clouds, *answers, self.asks_front)
-        std, tail, probability = self._judged(signals, state_std(covariance, category))
+        std, tail, base_std, probability = self._judged(signals, covariance)
         final = PoseEstimate.of(category, posed[:batch], std, tail)
         initial = PoseEstimate.of(category, posed[batch:], np.full_like(std, np.nan), np.ones_like(std))
         converged, residual = refined.converged.tolist(), (refined.residual * unit).tolist()
@@ -70,6 +70,7 @@ class Answers:
                     observed_keypoints=observed[b],
                     keypoint_std=keypoint_std[b],
                     covariance=covariance[b].copy(),
+                    base_std=base_std[b].copy(),
                     converged=converged[b],
                     residual=residual[b],
                     labelled=shown.labelled(b, logits[b].copy()),
@@ -83,16 +84,26 @@ class Answers:
             )
         return estimates
 
-    def _judged(self, signals: Signals, std: np.ndarray) -> tuple[np.ndarray, np.ndarray, list[float] | list[None]]:
-        """``state_std`` (B, J), ``tail`` (B, J) and ``probability`` of B answers whose joint states have the standard
-        deviations ``std`` (B, J) by least squares; those that were held fixed keep their zero."""
+    def _judged(
+        self, signals: Signals, covariance: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[float] | list[None]]:
+        """``state_std`` (B, J), ``tail`` (B, J), ``base_std`` (B, 6) and ``probability`` of B answers that have the
+        covariances (B, P, P) by least squares; states that were held fixed keep their zero."""
+        least, base = state_std(covariance, self._category), base_std(covariance)
         if self._confidence is None:
-            return std, np.ones_like(std), [None] * len(std)
+            return least, np.ones_like(least), base, [None] * len(least)
         found, tail = self._confidence.spreads(signals, self._category)
-        return np.where(std == 0, 0.0, found), tail, self._confidence.probabilities(signals).tolist()
+        told = np.where(least == 0, 0.0, found)
+        base = self._confidence.base_spreads(base, least, told)
+        return told, tail, base, self._confidence.probabilities(signals).tolist()
 
 
 def state_std(covariance: np.ndarray, category: Category) -> np.ndarray:
     """(B, J) of covariances (B, P, P)."""
     variance = covariance.diagonal(axis1=1, axis2=2)[:, 6 : 6 + len(category.joints)]
     return np.sqrt(np.clip(variance, 0, None))
+
+
+def base_std(covariance: np.ndarray) -> np.ndarray:
+    """(B, 6) of covariances (B, P, P)."""
+    return np.sqrt(np.clip(covariance.diagonal(axis1=1, axis2=2)[:, :6], 0, None))

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from scipy.spatial.transform import Rotation
 from torch import Tensor, nn
 from torch.nn.functional import binary_cross_entropy_with_logits, softplus
 
@@ -17,6 +18,7 @@ from omad.estimation.confidence.model import Confidence, FittedTo, deviations, i
 from omad.estimation.confidence.perceptron import FARTHEST, Perceptron, Row
 from omad.estimation.confidence.signals import IMAGE, JOINT, WITHOUT_FRONT, Signals
 from omad.estimation.estimator import Estimator
+from omad.estimation.looks.answers import base_std, state_std
 from omad.objects.category import Category
 from omad.objects.model import ObjectModel
 
@@ -39,6 +41,8 @@ SMALLEST = 1e-4
 """Added to errors before their logarithm is taken, category units or radians."""
 WORTH = 0.03
 """The front takes a millisecond; it is asked for where the log loss of what is right is by so much smaller with it."""
+WITHIN_ONE = 0.6827
+"""Of normal errors, the share below one standard deviation."""
 FEWEST = 200
 """Views of the category, right and wrong ones together, that can be learned from."""
 
@@ -55,6 +59,11 @@ class Answers:
     """(N, J) of the joint states, category units; NaN of views of other things."""
     right: np.ndarray
     """(N,) bool."""
+    base: np.ndarray
+    """(N, 6) how far off the base's rotation vector and translation are, in deviations by least squares; NaN as above.
+    """
+    least: np.ndarray
+    """(N, J) radians or metres, standard deviations of the joint states by least squares."""
 
     @property
     def of_category(self) -> np.ndarray:
@@ -79,20 +88,30 @@ def answered(estimator: Estimator, models: Sequence[ObjectModel], views: int, se
         for some in batched(progress(examples(models, category, views, seed), views, every=30.0), BATCH)
     ]
     signals = Signals.joined([one.signals for one in found])
-    return Answers(signals, *(np.concatenate([getattr(one, key) for one in found]) for key in ("errors", "right")))
+    keys = ("errors", "right", "base", "least")
+    return Answers(signals, *(np.concatenate([getattr(one, key) for one in found]) for key in keys))
 
 
 def _answer(estimator: Estimator, shown: Sequence[Example]) -> Answers:
     category = estimator.category
     estimates = estimator([example.observation() for example in shown])
     errors, right = np.full((len(shown), len(category.joints)), np.nan), np.zeros(len(shown), dtype=bool)
+    base, covariance = np.full((len(shown), 6), np.nan), np.stack([estimate.covariance for estimate in estimates])
     for number, (example, estimate) in enumerate(zip(shown, estimates, strict=True)):
         if example.of_category:
             truth = example.view.truth
             found = pose_errors(estimate.pose(), true_pose(example.view, category), truth.part_boxes, category)
             errors[number] = found.joint_state / category.state_units
             right[number] = found.right(category, truth.diagonal)
-    return Answers(Signals.joined([estimate.signals for estimate in estimates]), errors, right)
+            base[number] = base_errors(estimate.T_camera_base, example.view.T_camera_base)
+    signals = Signals.joined([estimate.signals for estimate in estimates])
+    return Answers(signals, errors, right, base / base_std(covariance), state_std(covariance, category))
+
+
+def base_errors(found: np.ndarray, true: np.ndarray) -> np.ndarray:
+    """(6,) by what rotation vector and translation a pose (4, 4) is off, none of it negative: radians and metres."""
+    turned = Rotation.from_matrix(found[:3, :3] @ true[:3, :3].T).as_rotvec()
+    return np.abs(np.concatenate([turned, found[:3, 3] - true[:3, 3]]))
 
 
 def fit(answers: Answers, category: Category, fitted_to: FittedTo) -> Confidence:
@@ -105,16 +124,33 @@ def fit(answers: Answers, category: Category, fitted_to: FittedTo) -> Confidence
     image, right = (IMAGE, fronted) if less < (1 - WORTH) * cost else (WITHOUT_FRONT, plain)
     inputs = joint_inputs(answers.signals.known_by(image))[mine]
     errors = fit_errors(inputs, answers.errors[mine])
-    return Confidence(category.name, image, JOINT, errors, right, fitted_to)
+    found = Confidence(category.name, image, JOINT, errors, right, fitted_to)
+    return replace(found, base=base_multiples(found, answers, category))
+
+
+def base_multiples(confidence: Confidence, answers: Answers, category: Category) -> tuple[float, float]:
+    """``Confidence.base``: such that as many errors are below one deviation as of normal ones."""
+    turned, moved = np.quantile(_base_off(confidence, answers, category), WITHIN_ONE, axis=(0, 2)).round(3).tolist()
+    return turned, moved
+
+
+def _base_off(confidence: Confidence, answers: Answers, category: Category) -> np.ndarray:
+    """(N, 2, 3) the errors of the base's rotation and translation in views of the category, in deviations."""
+    told, _ = confidence.spreads(answers.signals, category)
+    off = answers.base / confidence.base_spreads(np.ones((len(told), 6)), answers.least, told)
+    return off[answers.of_category].reshape(-1, 2, 3)
 
 
 def measured(confidence: Confidence, answers: Answers, category: Category) -> dict[str, Any]:
-    """How well it keeps its word on ``answers``: shares of joint states in their intervals, and of the probability."""
+    """How well it keeps its word on ``answers``: shares of joint states in their intervals and of errors of the base
+    below one deviation, and of the probability."""
     mine, told = answers.of_category, confidence.probabilities(answers.signals)
     std, tail = confidence.spreads(answers.signals, category)
     errors = answers.errors[mine] * category.state_units
     within = {level: std[mine] * deviations(level) ** tail[mine] for level in (0.5, 0.9)}
     covered = {f"covered_{100 * level:.0f}": float((errors <= half).mean()) for level, half in within.items()}
+    base = (_base_off(confidence, answers, category) < 1).mean((0, 2)).tolist()
+    covered |= dict(zip(("rotation_covered_68", "translation_covered_68"), base, strict=True))
     error, area = expected_calibration_error(told, answers.right), area_under_roc(told, answers.right)
     return covered | {"right": float(answers.right.mean()), "calibration_error": error, "area_under_roc": area}
 
