@@ -102,6 +102,7 @@ def test_the_front_is_asked_for_where_it_tells_right_from_wrong(
 ) -> None:
     assert not fitted.asks_front
     monkeypatch.setattr(fitting, "fit_errors", lambda inputs, errors: fitted.errors)
+    monkeypatch.setattr(fitting, "base_multiples", lambda *_: fitted.base)
     asking = fit(answers(0, front=1.0)[0], LAPTOP, TO_TEST)
     assert asking.asks_front
     unseen, likely = answers(1, front=1.0)
