@@ -98,7 +98,7 @@ def _answer(estimator: Estimator, shown: Sequence[Example]) -> Answers:
     errors, right = np.full((len(shown), len(category.joints)), np.nan), np.zeros(len(shown), dtype=bool)
     base, covariance = np.full((len(shown), 6), np.nan), np.stack([estimate.covariance for estimate in estimates])
     for number, (example, estimate) in enumerate(zip(shown, estimates, strict=True)):
-        if example.of_category:
+        if example.of_category and estimate.is_finite:
             truth = example.view.truth
             found = pose_errors(estimate.pose(), true_pose(example.view, category), truth.part_boxes, category)
             errors[number] = found.joint_state / category.state_units
@@ -130,7 +130,7 @@ def fit(answers: Answers, category: Category, fitted_to: FittedTo) -> Confidence
 
 def base_multiples(confidence: Confidence, answers: Answers, category: Category) -> tuple[float, float]:
     """``Confidence.base``: such that as many errors are below one deviation as of normal ones."""
-    turned, moved = np.quantile(_base_off(confidence, answers, category), WITHIN_ONE, axis=(0, 2)).round(3).tolist()
+    turned, moved = np.nanquantile(_base_off(confidence, answers, category), WITHIN_ONE, axis=(0, 2)).round(3).tolist()
     return turned, moved
 
 
