@@ -6,6 +6,7 @@ from scipy.spatial import KDTree
 
 from omad.common.compiled import jit
 from omad.geometry.disjoint_sets import join, numbered
+from omad.geometry.rigid import diagonal
 
 JUMP = 0.03
 """Between neighbouring pixels of one surface the depth differs by less than this share: three times what a plane shows
@@ -39,7 +40,7 @@ def hanging(points: np.ndarray, pixels: np.ndarray, shape: tuple[int, int]) -> n
     if not small.any() or small.all():
         return np.zeros(len(points), dtype=bool)
     rest = points[~small]
-    size = float(np.linalg.norm(np.ptp(rest, axis=0)))
+    size = diagonal(rest)
     loose = np.flatnonzero(small)
     away, _ = KDTree(rest[:: -(-len(rest) // ENOUGH)]).query(points[loose], distance_upper_bound=APART * size)
     near = np.zeros(len(count), dtype=bool)

@@ -27,6 +27,7 @@ from omad.estimation.confidence.model import RIGHT_ANGLE, RIGHT_SHARE
 from omad.estimation.estimate import Estimate
 from omad.estimation.known import NOTHING_KNOWN, Known, Near, check_known
 from omad.estimation.looks.shown import check_observations
+from omad.geometry.rigid import diagonal
 from omad.sensing.observation import Observation
 
 from .motion import MotionConfig, MotionFilter, Placement
@@ -313,7 +314,7 @@ def _of_one_hand(known: Known, last: Estimate | None) -> Known:
 
 def _still_right(estimate: Estimate) -> float:
     """How likely no joint has moved farther meanwhile than a right answer may be off, by its covariance."""
-    size = float(np.linalg.norm(np.ptp(estimate.canonical_keypoints, axis=0)))
+    size = diagonal(estimate.canonical_keypoints)
     most = np.where(estimate.category.turning, RIGHT_ANGLE, RIGHT_SHARE * size)
     std = np.sqrt(estimate.covariance.diagonal()[6 : 6 + len(most)])
     return float(chi2.cdf(np.square(most / np.maximum(std, 1e-9)), 1).prod())

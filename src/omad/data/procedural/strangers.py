@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from omad.geometry.mesh import Mesh, merge_meshes
+from omad.geometry.rigid import diagonal
 from omad.objects.category import Category, JointSpec, PartSpec, ViewRange
 from omad.objects.model import ObjectModel
 
@@ -34,7 +35,7 @@ def strangers(count: int, seed: int = 0) -> list[Strangers]:
     found = [Strangers(_category(unit), []) for unit in UNITS]
     for index in range(count):
         thing = stranger(np.random.default_rng([seed, index]))
-        radius = float(np.linalg.norm(np.ptp(thing.vertices, axis=0))) / 2
+        radius = diagonal(thing.vertices) / 2
         group = found[int(np.abs(np.log(np.array(UNITS) / radius)).argmin())]
         name, still = f"stranger-{seed}-{index:05d}", (np.eye(3)[1:2], np.zeros((1, 3)))
         group.models.append(ObjectModel.of(group.category, name, (thing, thing), *still).centred())

@@ -12,7 +12,7 @@ from omad.common.errors import InputError
 from omad.geometry.joint_kinds import JOINT_TYPES
 from omad.geometry.kinematics import KinematicTree, joint_transforms
 from omad.geometry.mesh import Mesh, merge_meshes
-from omad.geometry.rigid import carry
+from omad.geometry.rigid import carry, diagonal
 from omad.objects.category import Category
 
 from .articulation import RawArticulation, RawJoint, RawLink
@@ -110,7 +110,7 @@ def _carrier(raw: RawArticulation, link: int, links: tuple[int, ...]) -> int:
 
 
 def _diagonal(link: RawLink) -> float:
-    return float(np.linalg.norm(np.ptp(link.mesh.vertices, axis=0)))
+    return diagonal(link.mesh.vertices)
 
 
 def _comparable(a: _Assignment, b: _Assignment) -> bool:

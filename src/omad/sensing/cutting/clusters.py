@@ -9,6 +9,7 @@ from scipy.spatial import KDTree
 
 from omad.common.compiled import jit
 from omad.geometry.disjoint_sets import join, numbered
+from omad.geometry.rigid import diagonal
 
 from .cloud import distances
 
@@ -42,7 +43,7 @@ def prominent_cluster(points: np.ndarray, weights: np.ndarray) -> tuple[np.ndarr
     best = int(weight.argmax())
 
     core = cells[labels == best]
-    reach = max(GAP * float(np.linalg.norm(np.ptp(core, axis=0))), 1.8)
+    reach = max(GAP * diagonal(core), 1.8)
     others = np.flatnonzero(dense & (labels != best))
     pieces = np.unique(labels[others[_near(core, cells[others], reach)]])
     weight[pieces] = 0.0

@@ -7,6 +7,8 @@ import numpy as np
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
+from omad.geometry.rigid import diagonal
+
 from .cloud import Cloud
 from .footprints import PARALLEL, UP, axes_of, outline_of
 
@@ -33,7 +35,7 @@ def joined(cloud: Cloud, things: Sequence[np.ndarray], planes: np.ndarray) -> li
     outlines = np.array([outline_of(axes, cloud.points, thing) for thing in things])
     few = [cloud.points.take(thing[:: -(-len(thing) // FEW)], 1) for thing in things]
     lows = np.array([_low(points, level) for points in few])
-    sizes = np.array([np.linalg.norm(np.ptp(points, axis=1)) for points in few])
+    sizes = np.array([diagonal(points.T) for points in few])
     size = np.maximum.outer(sizes, sizes)
     over = (outlines[:, None] + np.roll(outlines, 8, axis=1)).min(-1) > -BESIDE * size
     held = np.triu(over & (np.maximum.outer(lows, lows) > IN_THE_AIR * size), 1)

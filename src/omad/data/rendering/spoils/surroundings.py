@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 from omad.data.procedural.shapes import box
 from omad.geometry.mesh import Mesh
 from omad.geometry.rigid import box as bounds
-from omad.geometry.rigid import carry, rigid
+from omad.geometry.rigid import carry, diagonal, rigid
 
 from .spoil import Place
 from .things import random_thing
@@ -30,7 +30,7 @@ def surroundings(
     """Boards and walls, and neighbours, for an object that ``outline`` (V, 3) bounds, seen from ``eye`` (3,);
     neighbours are of other categories than the object's."""
     makers = {"nothing": [], "wall": [_wall], "table": [_table], "shelf": [_shelf], "clutter": [_table, _wall]}[place]
-    size = float(np.linalg.norm(np.ptp(outline, axis=0)))
+    size = diagonal(outline)
     boards = [mesh for maker in makers for mesh in maker(outline, eye, size, rng)]
     return boards, _neighbours(outline, size, rng, category) if place == "clutter" else []
 
