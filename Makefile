@@ -2,11 +2,13 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-# Modules are compiled when they are first imported: most never are, and compiling all takes half of an installation.
+# Modules are compiled when they are first imported, and kept, whatever the environment says: most never are, and
+# compiling all takes half of an installation.
+export PYTHONDONTWRITEBYTECODE :=
 INSTALL := $(BIN)/pip install -q --no-compile -c constraints.txt
-# A process of one thread for each of up to four cores (each grows to 2.5 GB), with whole files, whose tests share what
-# they load.
-SIDE_BY_SIDE := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n logical --maxprocesses 4 --dist loadfile --no-loadscope-reorder
+# Up to four processes of one thread (each grows to 2.5 GB), one more than cores, as some wait at times; with whole
+# files, whose tests share what they load.
+SIDE_BY_SIDE := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
 
 .PHONY: demo test test-quick check docs
 

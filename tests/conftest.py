@@ -1,12 +1,18 @@
 """What all tests share."""
 
 import inspect
+import os
 import signal
 from functools import cache
 
 import pytest
 
 inspect.getsource = cache(inspect.getsource)  # which tyro asks for anew with every command line
+
+
+def pytest_xdist_auto_num_workers():
+    """One more than cores, as some wait for what they started; each grows to 2.5 GB."""
+    return min((os.cpu_count() or 1) + 1, 4)
 
 
 def pytest_collection_modifyitems(items):
