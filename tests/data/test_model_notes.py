@@ -50,3 +50,13 @@ def test_a_joint_that_follows_another_and_metres_called_as_those_of_partnet_are_
     assert "scaled by 0.5" in metres
     assert "give --scale 1" in metres
     assert len(load_folder(tmp_path, CUPBOARD, scale=1.0).notes) == 1
+
+
+def test_limits_the_wrong_way_round_are_exchanged_and_noted(tmp_path):
+    file = write_urdf(cupboard(), tmp_path / "made")
+    written = file.read_text()
+    file.write_text(written.replace('lower="0.0" upper="0.3"', 'lower="0.3" upper="0.0"'))
+    assert file.read_text() != written
+    found = load_folder(tmp_path, CUPBOARD)
+    assert [note.reason for note in found.notes] == ["slide has its lower limit above the upper: taken as exchanged"]
+    assert np.allclose(found.models[0].limits[0], [0, 0.3])

@@ -60,6 +60,8 @@ class RawJoint:
     """Radians or metres; None where the file states none."""
     follows: str | None = None
     """The joint that the file lets it move with (``mimic``)."""
+    inverted: bool = False
+    """The file states its lower limit above the upper one."""
 
     @property
     def type(self) -> JointType:
@@ -295,14 +297,15 @@ def _raw_joint(path: Path, joint: Any, slide: float, ends: tuple[int, int], T: n
         raise InputError(
             f"{path}: joint {joint.name!r} has no proper origin and axis; give numbers, and an axis of some length"
         )
-    limits, stated = None, [] if joint.limit is None else [joint.limit.lower, joint.limit.upper]
+    limits, inverted, stated = None, False, [] if joint.limit is None else [joint.limit.lower, joint.limit.upper]
     if joint.type != "continuous" and any(limit is not None for limit in stated):
-        low, high = sorted((limit or 0.0) * motion.state_unit(unit) for limit in stated)  # 0 is URDF's default
+        given = [(limit or 0.0) * motion.state_unit(unit) for limit in stated]  # 0 is URDF's default
+        (low, high), inverted = sorted(given), given[0] > given[1]
         if not np.abs([low, high]).max() <= FARTHEST * unit:  # not for NaN either
             raise InputError(f"{path}: the limits of joint {joint.name!r} are not finite; use a continuous joint")
         limits = low, high
     follows = None if joint.mimic is None else joint.mimic.joint
-    return RawJoint(joint.name, motion, *ends, axis / length, T[:3, 3] * unit, limits, follows)
+    return RawJoint(joint.name, motion, *ends, axis / length, T[:3, 3] * unit, limits, follows, inverted)
 
 
 def _without_empty_ends(path: Path, raw: RawArticulation) -> RawArticulation:
