@@ -386,6 +386,12 @@ def test_a_film_of_a_long_track_has_some_of_its_frames(stapler, monkeypatch):
     assert all(np.asarray(picture).mean() > 60 for picture in film.pictures)
 
 
+def test_an_image_of_one_row_has_its_pictures():
+    row, lost = omad.Observation.from_depth(np.ones((1, 2000)), (600, 600, 999, 0)), TrackedEstimate(0.0, "lost", None)
+    pictures.Film().add(row, lost)
+    page.TrackPage().add("row.png", row, lost)
+
+
 @pytest.mark.parametrize(
     "settings", [{"gate": 0.0}, {"gate": 1.0}, {"jitter": -0.1}, {"jitter": 1.1}, {"motion": MotionConfig(decay=0.0)}]
 )

@@ -276,6 +276,8 @@ def test_what_is_no_pose_is_named(estimator, views):
             estimator(observations, T_world_camera=np.stack([T[0], wrong]))
     with pytest.raises(omad.InputError, match="list"):
         estimator(observations[0], T_world_camera=T[:1])
+    with pytest.raises(omad.InputError, match=r"known: is dict; give an omad\.Known"):
+        estimator(observations, {"gravity": [0, 1, 0]}, T)
 
 
 def test_poses_that_single_precision_has_rounded_are_named(estimator, views):

@@ -57,6 +57,10 @@ def test_a_perfect_ranking_is_one_everywhere():
     assert set(vars(found).values()) == {1.0}
 
 
+def test_a_query_that_is_alone_in_its_gallery_finds_nothing():
+    assert set(vars(scores(np.zeros((2, 0), bool))).values()) == {0.0}
+
+
 def test_short_galleries():
     assert scores(ranked("10", "01")).map_at_10 == pytest.approx(0.75)
 

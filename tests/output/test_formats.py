@@ -139,6 +139,7 @@ def test_twist_is_the_velocity_of_a_waypoint(estimate):
         (("part_1", np.zeros(3), None), "to_state"),
         (("part_1", np.zeros(3), "a"), "to_state"),
         (("part_1", np.zeros(3), [0.1, 0.2]), "to_state"),
+        (("part_1", np.zeros(3), [[0.1], [0.2, 0.3]]), "to_state"),
         (("part_1", np.zeros(3), 0.1, 0), "steps"),
         (("part_1", np.zeros(3), 0.1, 2.5), "steps"),
         (("part_1", [0.0, np.nan, 1.0], 0.1), "point: "),

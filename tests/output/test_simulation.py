@@ -15,12 +15,13 @@ import omad
 from omad.data.procedural import generate
 from omad.data.rendering.standard_views import standard_view
 from omad.data.rendering.viewpoints import keep_possible
+from omad.geometry.mesh import convex_hull
 from omad.geometry.rigid import carry_each
 from omad.model.checkpoint import shipped_categories
 from omad.objects.category_file import get_category
 from omad.output.formats import save_formats
 from omad.output.frame import CAMERA
-from omad.output.robots.robot import GRAVITY, HOLD, Robot
+from omad.output.robots.robot import GRAVITY, HOLD, Robot, Solid
 
 mujoco = pytest.importorskip("mujoco", reason="MuJoCo is an extra: pip install 'omad[mujoco]'")
 
@@ -140,6 +141,13 @@ def test_pybullet_leaves_it_where_it_is(name, written):
     pybullet.disconnect(client)
     for state, joint in zip(after, estimate.joints, strict=True):
         assert abs(state - np.clip(joint.state, *joint.limits)) < STILL
+
+
+def test_a_part_of_one_keypoint_has_some_mass():
+    point, empty = Solid.of(convex_hull(np.full((1, 3), 0.2))), Solid.of(None)
+    assert (point.mass, point.inertia.tolist()) == (empty.mass, empty.inertia.tolist())
+    thin = Solid.of(convex_hull(np.array([[0.0, 0, 0], [0.1, 0, 0], [0, 0.05, 0]])))
+    assert 0 < thin.mass < 0.1 * empty.mass
 
 
 class Surfaces(Robot):

@@ -147,6 +147,7 @@ def test_lenses_are_read_from_files(tmp_path):
     assert read_camera("600,600,319.5,239.5").distortion is None
     for content, word in (
         (json.dumps({**realsense, "model": "F-Theta"}), "f_theta"),
+        (json.dumps({**realsense, "model": -1}), "its lens"),
         (json.dumps({**realsense, "coeffs": "many", "model": "Brown Conrady"}), "coeffs"),
         (json.dumps({**realsense, "coeffs": [1.0] * 12, "model": "Brown Conrady"}), "8"),
     ):

@@ -175,7 +175,8 @@ def test_masks_of_segmenters_are_taken_as_they_come() -> None:
 
 @pytest.mark.parametrize("form", [MASK, torch.tensor(MASK)[None], MASK.astype(np.uint8)])
 def test_an_annotation_may_hold_an_array(form: object) -> None:
-    assert np.array_equal(as_mask({"segmentation": form, "area": 12, "bbox": [3, 2, 4, 3]}), MASK)
+    for size in ({}, {"size": None}, {"size": [6, 9]}, {"size": np.array([6, 9])}):
+        assert np.array_equal(as_mask({"segmentation": form, "area": 12, "bbox": [3, 2, 4, 3]} | size), MASK)
 
 
 def test_an_id_picks_one_of_the_labels_that_an_annotation_holds() -> None:
@@ -199,7 +200,7 @@ def test_ids_are_whole_numbers_of_any_kind(form: Callable) -> None:
     assert np.array_equal(as_mask(file, form(2)), MASK)
 
 
-@pytest.mark.parametrize("wrong", ["1", 1.5, np.nan, [1, 2], None.__class__])
+@pytest.mark.parametrize("wrong", ["1", 1.5, np.nan, pytest.param(10**400, id="long"), [1, 2], None.__class__])
 def test_ids_that_are_none_are_refused(wrong: object) -> None:
     with pytest.raises(InputError, match=r"mask_id: is .*; give a whole number"):
         as_mask(several(), wrong)  # type: ignore[arg-type]
@@ -301,6 +302,7 @@ def test_polygons() -> None:
         ({"size": [6, 9]}, "one annotation of a file"),
         ({"size": [6, 9], "counts": [50, 3]}, "run lengths"),
         ({"size": [6, 9], "counts": "W>7P12N"}, "run lengths"),
+        ({"size": [6, 9], "counts": [50, [4]]}, "run lengths"),
         ({"size": [6, 9], "counts": [2**62, 2**62, 2**62, 2**62 + 54]}, "run lengths"),  # whose sum is 54 in 64 bits
         ({"size": [6, 9], "segmentation": [[1, 2, 3, 4]]}, "three corners"),
         ({"annotations": [], "images": []}, "size"),

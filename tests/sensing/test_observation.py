@@ -333,6 +333,7 @@ def test_a_camera_may_have_sizes_that_are_floats() -> None:
 
 def test_what_is_no_number_is_refused_with_the_cure_of_its_kind() -> None:
     refused("color: dtype bool", "integers up to 255, or floats", color=np.ones((48, 64, 3), bool))
+    refused("color: ", "expected shape (H, W, 3)", color=np.ones((48, 64, 1, 3), np.uint8))
     refused("intrinsics: ", "a 3x3 matrix or (fx, fy, cx, cy)", K={1, 2})
     refused("depth: dtype bool", "floats in metres", depth_m=bump() > 0)
     refused("depth: ", "read the file first", depth_m="depth.png")

@@ -47,11 +47,11 @@ def numbers(values: Any, *shape: int | None, what: str, unknown: bool = False) -
 
 def number(value: Any) -> float:
     """Of whatever a caller has, an array or a tensor of one, too; NaN of what is no number."""
-    if isinstance(value, Real):
-        return float(value)
     try:
+        if isinstance(value, Real):
+            return float(value)
         found = as_numpy(value)
-    except (TypeError, ValueError, RuntimeError):  # ragged lists
+    except (TypeError, ValueError, RuntimeError, OverflowError):  # ragged lists; integers of hundreds of digits
         return math.nan
     return float(found.item()) if found.size == 1 and found.dtype.kind in "biuf" else math.nan
 

@@ -220,9 +220,9 @@ def array_shapes(path: Path) -> dict[str, tuple[int, ...]]:
         return found
 
 
-def parse_arrays(stored: bytes, name: str, cure: str = "export it again") -> np.ndarray | dict[str, np.ndarray]:
+def parse_arrays(stored: bytes, name: str) -> np.ndarray | dict[str, np.ndarray]:
     """What ``read_arrays`` reads, of a file's bytes. Raises InputError."""
-    with readable(name, "an array", cure):
+    with readable(name, "an array"):
         file, is_zip = io.BytesIO(stored), zipfile.is_zipfile(io.BytesIO(stored))
         return _unpacked(file, len(stored), name, "sent_bytes") if is_zip else _one_array(file, len(stored))
 

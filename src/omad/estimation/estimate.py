@@ -14,7 +14,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from omad.common.arrays import as_numpy, numbers
+from omad.common.arrays import number, numbers
 from omad.common.errors import InputError
 from omad.common.files import write_json
 from omad.geometry.joint_kinds import Motion
@@ -363,14 +363,13 @@ class Estimate(PoseEstimate):
             raise InputError(f"part {part!r} does not move: moving parts are {', '.join(names[1:])}")
         if not isinstance(steps, Integral) or steps < 1:
             raise InputError(f"steps: {steps} is no number of poses; give at least 1")
-        state = as_numpy(to_state)
-        if state.size != 1 or state.dtype.kind not in "iuf" or not np.isfinite(state).all():
+        if not math.isfinite(state := number(to_state)):
             raise InputError(f"to_state: {to_state} is no state; give radians or metres")
         start = rigid_transform(T_camera_handle, "T_camera_handle")
         T_world = np.eye(4) if T_world_camera is None else rigid_transform(T_world_camera, "T_world_camera")
         joint = self.joints[names.index(part) - 1]
-        check_state(state.item(), joint.limits, "to_state")
-        motions = np.stack([joint.motion(travel) for travel in np.linspace(0.0, state.item() - joint.state, steps)])
+        check_state(state, joint.limits, "to_state")
+        motions = np.stack([joint.motion(travel) for travel in np.linspace(0.0, state - joint.state, steps)])
         return T_world @ motions @ np.linalg.inv(T_world) @ start
 
 

@@ -214,6 +214,7 @@ class Estimator:
             raise InputError("T_world_camera: is for several views of one object; give a list of observations with it")
         views = check_observations(views)
         T = relative_poses(poses, len(views))
+        check_known(known, self.category, self.net.prior.basis_size)
         if len(views) == 1:
             return self(views, known)
         alone = [self._estimate([view], own)[0] for view, own in zip(views, known.seen_from(T), strict=True)]

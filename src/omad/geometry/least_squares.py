@@ -78,8 +78,6 @@ class Solution:
     """(B, N)."""
     cost: Tensor
     """(B,) sum of squared residuals, robust ones after ``rho``."""
-    initial_cost: Tensor
-    """(B,)."""
     hessian: Tensor
     """(B, P, P) J^T J at ``x``; its inverse is the covariance where residuals have unit variance."""
     converged: Tensor
@@ -200,4 +198,4 @@ def minimise(
             converged_out[indices], iterations_out[indices] = converged, iteration
             indices, x, cost, gradient, hessian = indices[stay], x[stay], cost[stay], gradient[stay], hessian[stay]
             damping, growth, steepest = damping[stay], growth[stay], steepest[stay]
-    return Solution(x_out, cost_out, start.cost, hessian_out, converged_out, iterations_out)
+    return Solution(x_out, cost_out, hessian_out, converged_out, iterations_out)

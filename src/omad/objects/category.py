@@ -267,6 +267,6 @@ def _check_name(name: str) -> None:
         raise ValueError(f"name: is {name[:LONGEST_NAME]!r}; give a short one of letters, digits and _")
 
 
-def _check_unique(named: PartSpec | JointSpec, all: Sequence[PartSpec | JointSpec]) -> None:
-    if [each.name for each in all].count(named.name) > 1:
+def _check_unique(named: PartSpec | JointSpec, among: Sequence[PartSpec | JointSpec]) -> None:
+    if [each.name for each in among].count(named.name) > 1:
         raise ValueError(f"name: {named.name!r} stands twice; rename one")

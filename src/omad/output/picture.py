@@ -19,11 +19,10 @@ from PIL import Image
 
 from omad.common.errors import InputError, as_line
 from omad.common.files import write_atomic
-from omad.data.rendering.rasteriser import NOTHING, Rendering, rasterise, render
+from omad.data.rendering.rasteriser import NOTHING, Rendering, render, render_parts
 from omad.estimation.estimate import Estimate, chance
 from omad.estimation.part_labels import OUTSIDE
 from omad.geometry.camera import NEAREST, STANDARD_CAMERA, Camera
-from omad.geometry.mesh import merge_meshes
 from omad.geometry.rigid import box, carry, carry_each
 from omad.model.surfaces.agreement import Overlay
 from omad.objects.category import Category
@@ -260,9 +259,8 @@ def _draw_surface(panel: Axes, camera: Camera, observation: Observation, estimat
     """The estimated surface; where it is not what was seen, pixels have the colours of ``DIFFERENCES``."""
     parts = estimate.surface.posed()
     overlay = Overlay.of(parts, observation)
-    mesh, own = merge_meshes(parts), overlay.camera
-    labels = np.repeat(np.arange(len(parts), dtype=np.uint8), [len(part.faces) for part in parts])
-    panel.imshow(shaded(rasterise(mesh.vertices, mesh.faces, labels, camera)))
+    own = overlay.camera
+    panel.imshow(shaded(render_parts(parts, camera)))
     tint = np.zeros((own.height, own.width, 4))
     for name, (_, colour) in DIFFERENCES.items():
         tint[overlay.differences[name]] = matplotlib.colors.to_rgba(colour, 0.8)

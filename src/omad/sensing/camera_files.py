@@ -246,7 +246,7 @@ def _find_distortion(data: dict[str, Any]) -> Distortion | None:
 def _model_name(told: Any) -> str | None:
     """As in ``lens.MODELS``; drivers write 'Inverse Brown Conrady', 'distortion.brown_conrady', or a number."""
     if isinstance(told, int):
-        return REALSENSE[told]
+        return dict(enumerate(REALSENSE))[told]  # a tuple has something at -1, too
     name = str(told).strip().lower().removeprefix("rs2_").removeprefix("distortion").lstrip("._")
     return {"fisheye": "equidistant"}.get(name, name.replace(" ", "_").replace("-", "_")) or None
 

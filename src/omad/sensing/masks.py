@@ -4,6 +4,7 @@ COCO's run lengths are those of pycocotools (Lin et al., "Microsoft COCO", 2014)
 """
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from os import PathLike
 from typing import Any
 
@@ -230,12 +231,12 @@ def _annotation(coco: Mapping[str, Any], mask_id: int | None) -> Mapping[str, An
 
 def _decoded(coco: Mapping[str, Any], mask_id: int | None) -> np.ndarray:
     """(H, W) bool of a COCO segmentation or annotation; ``mask_id``: of an array of labels in one."""
-    found = coco.get("segmentation", coco)
-    if hasattr(found, "shape") and not coco.get("size"):  # of a network that speaks of its masks as COCO does
+    found, size = coco.get("segmentation", coco), _sides(coco.get("size"))
+    if hasattr(found, "shape") and size in ([], [*found.shape[-2:]]):  # an array under COCO's key, as networks have it
         return as_mask(found, mask_id)
     if not isinstance(found, Mapping):
-        found = {"polygons": found, "size": coco.get("size", ())}
-    size = np.asarray(found.get("size", ()), dtype=object).ravel().tolist()
+        found = {"polygons": found, "size": size}
+    size = _sides(found.get("size"))
     if len(size) != 2 or not all(isinstance(side, int | np.integer) and side > 0 for side in size):
         raise InputError('mask: a COCO segmentation needs "size": [height, width], beside "counts" or "polygons"')
     height, width = map(int, size)
@@ -247,10 +248,17 @@ def _decoded(coco: Mapping[str, Any], mask_id: int | None) -> np.ndarray:
     return decode_runs(found["counts"], height, width)
 
 
+def _sides(size: Any) -> list[Any]:
+    """Height and width; empty where they are not told."""
+    return [] if size is None else np.asarray(size, dtype=object).ravel().tolist()
+
+
 def decode_runs(counts: str | bytes | Sequence[int], height: int, width: int) -> np.ndarray:
     """(H, W) bool of COCO run lengths, column by column, the first of what is not the object; as a list of numbers, or
     as the string that they are compressed to. Raises InputError where they do not fill the image."""
-    runs = np.asarray(_decompressed(counts) if isinstance(counts, str | bytes) else counts)
+    listed, runs = _decompressed(counts) if isinstance(counts, str | bytes) else counts, np.zeros(0)
+    with suppress(ValueError):  # of ragged lists
+        runs = np.asarray(listed)
     pixels = height * width  # of longer runs the sum may wrap round to it, and NumPy then writes out of bounds
     possible = runs.dtype.kind in "iu" and runs.ndim == 1 and 0 <= runs.min(initial=0) <= runs.max(initial=0) <= pixels
     if not possible or runs.sum() != pixels:

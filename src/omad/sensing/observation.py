@@ -333,7 +333,7 @@ def _check_color(color: Any, shape: tuple[int, ...]) -> np.ndarray | None:
         cure = "give one that is aligned to depth, or on the command line --color-intrinsics and --color-extrinsics"
         sizes = ["x".join(map(str, size[1::-1])) for size in (image.shape, shape)]
         raise InputError(f"color: is {sizes[0]} where the depth image is {sizes[1]}; {cure}")
-    if image.ndim == 2 or image.shape[2] == 1:
+    if image.shape in (shape, (*shape, 1)):
         image = np.repeat(image.reshape(*shape, 1), 3, 2)
     if image.ndim != 3 or image.shape[2] not in (3, 4):
         raise InputError(f"color: expected shape (H, W, 3), got {image.shape}")

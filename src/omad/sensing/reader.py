@@ -218,10 +218,10 @@ def _of_its_name(file: Path, folder: Path, what: str, formats: Sequence[str]) ->
     for suffix in formats:  # quicker than to list the folder, where it holds a million
         if (found := folder / (file.stem + suffix)).is_file():
             return found
-    named = sorted(each for each in folder.iterdir() if each.stem == file.stem)
-    if not named:
+    found = sorted(each for each in folder.iterdir() if each.stem == file.stem)
+    if not found:
         raise InputError(f"{folder}: no {what} for {file} in it; name them like the inputs")
-    return named[0]
+    return found[0]
 
 
 def _colour_camera(frame: FrameOptions, region: bool) -> ColourCamera | None:

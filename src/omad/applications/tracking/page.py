@@ -51,8 +51,8 @@ class TrackPage:
             self._every *= 2
             for index, each in enumerate(self._frames):
                 if index % self._every:
-                    for name in ("picture", "cloud"):
-                        each.pop(name, None)
+                    for key in ("picture", "cloud"):
+                        each.pop(key, None)
 
     def _seen(self, observation: Observation, estimate: Estimate | None) -> dict[str, Any]:
         """The cloud; of a frame with an image its picture, too, and where in it keypoints and joint axes are."""
@@ -65,7 +65,7 @@ class TrackPage:
 
     def _picture(self, observation: Observation, camera: Camera, estimate: Estimate | None) -> dict[str, Any]:
         factor = min(1.0, WIDTH / camera.width)
-        size = round(factor * camera.width), round(factor * camera.height)
+        size = round(factor * camera.width), max(round(factor * camera.height), 1)
         picture = jpeg_uri(Image.fromarray(frame_image(observation)).resize(size))
         if estimate is None:
             return {"picture": picture, "size": size}

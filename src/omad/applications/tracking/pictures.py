@@ -89,7 +89,8 @@ class Film:
             return blank
         scale = WIDTH / observation.camera.width
         corner = 0.5 / scale - 0.5  # pixel centres are at integers
-        image = Image.fromarray(frame_image(observation)).resize((WIDTH, round(scale * observation.camera.height)))
+        size = WIDTH, max(round(scale * observation.camera.height), 1)
+        image = Image.fromarray(frame_image(observation)).resize(size)
         camera = observation.camera.zoomed(scale, corner, corner, image.size)
         if tracked.estimate is not None:
             image = _with_surface(image, camera, tracked.estimate)

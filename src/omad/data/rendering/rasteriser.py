@@ -1,5 +1,6 @@
 """Exact depth and part labels of a posed object model: a z-buffer over the object's box in the image."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -7,7 +8,7 @@ import numpy as np
 
 from omad.common.compiled import jit
 from omad.geometry.camera import Camera
-from omad.geometry.mesh import merge_meshes
+from omad.geometry.mesh import Mesh, merge_meshes
 from omad.objects.model import ObjectModel
 
 NOTHING = 255
@@ -32,8 +33,14 @@ class Rendering:
 
 def render(model: ObjectModel, states: np.ndarray, T_camera_base: np.ndarray, camera: Camera) -> Rendering:
     """``model`` at joint states (J,) and pose (4, 4), seen at pixel centres; both sides of a surface are seen."""
-    mesh = merge_meshes(model.posed(states, T_camera_base))
-    return rasterise(mesh.vertices, mesh.faces, model.face_parts(), camera)
+    return render_parts(model.posed(states, T_camera_base), camera)
+
+
+def render_parts(parts: Sequence[Mesh], camera: Camera) -> Rendering:
+    """The same of ``parts`` in the camera frame, metres."""
+    mesh = merge_meshes(parts)
+    labels = np.repeat(np.arange(len(parts), dtype=np.uint8), [len(part.faces) for part in parts])
+    return rasterise(mesh.vertices, mesh.faces, labels, camera)
 
 
 def rasterise(vertices: np.ndarray, faces: np.ndarray, labels: np.ndarray, camera: Camera) -> Rendering:

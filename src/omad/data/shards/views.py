@@ -46,7 +46,7 @@ ROWS = 16
 
 @dataclass(frozen=True)
 class _Run:
-    """What of ``run.json`` tells of views."""
+    """What of ``_run.json`` tells of views."""
 
     format: str
     category: str

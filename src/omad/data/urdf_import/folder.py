@@ -140,7 +140,9 @@ def _imported(
     notes = [f"axis of {', '.join(moved)} taken from {partnet.JOINTS}: the URDF has it elsewhere"] if moved else []
     notes += _odd_limits(raw)
     notes += [f"{one.name} moves by itself: mimic is not heeded" for one in raw.joints if one.follows]
-    notes += [f"{one.name} has its lower limit above the upper: taken as exchanged" for one in raw.joints if one.inverted]
+    notes += [
+        f"{one.name} has its lower limit above the upper: taken as exchanged" for one in raw.joints if one.inverted
+    ]
     try:
         aligned = align(label_parts(raw, category), category)
     except InputError as error:

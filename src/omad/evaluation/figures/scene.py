@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.axes import Axes
 
-from omad.data.rendering.rasteriser import NOTHING, rasterise
+from omad.data.rendering.rasteriser import NOTHING, rasterise, render_parts
 from omad.data.rendering.viewpoints import pose_before
 from omad.geometry.camera import Camera
 from omad.geometry.mesh import Mesh, merge_meshes, triangle_normals
@@ -66,9 +66,7 @@ def shaded(crop: Camera, parts: Sequence[Mesh], colours: np.ndarray) -> np.ndarr
     """(H, W, 3) picture of parts in the camera frame under a lamp, with dark outlines, on white."""
     corner = 0.5 / SMOOTH - 0.5  # pixel centres are at integers
     big = crop.zoomed(SMOOTH, corner, corner)
-    whole = merge_meshes(parts)
-    labels = np.repeat(np.arange(len(parts), dtype=np.uint8), [len(part.faces) for part in parts])
-    seen = rasterise(whole.vertices, whole.faces, labels, big)
+    whole, seen = merge_meshes(parts), render_parts(parts, big)
     lit = rasterise(whole.vertices, whole.faces, _brightness(whole.triangles), big).labels
     image, there = np.ones((*seen.labels.shape, 3)), seen.labels != NOTHING
     image[there] = np.clip(colours[seen.labels[there]] * (lit[there, None] / 200), 0, 1)

@@ -47,10 +47,10 @@ def tier(relevant: np.ndarray, times: int) -> np.ndarray:
 
 
 def scores(relevant: np.ndarray) -> Scores:
-    """All metrics of ranked relevance (Q, G) bool."""
+    """All metrics of ranked relevance (Q, G) bool; 0 where a gallery holds nothing but the query."""
     return Scores(
         map_at_10=float(average_precision(relevant).mean()),
-        nearest_neighbour=float(relevant[:, 0].mean()),
+        nearest_neighbour=float(relevant[:, :1].any(1).mean()),
         first_tier=float(tier(relevant, 1).mean()),
         second_tier=float(tier(relevant, 2).mean()),
     )

@@ -6,9 +6,9 @@ from functools import cached_property
 
 import numpy as np
 
-from omad.data.rendering.rasteriser import rasterise
+from omad.data.rendering.rasteriser import render_parts
 from omad.geometry.camera import Camera
-from omad.geometry.mesh import Mesh, merge_meshes
+from omad.geometry.mesh import Mesh
 from omad.sensing.observation import Observation
 
 ACROSS = 160
@@ -50,8 +50,7 @@ class Overlay:
     def of(cls, parts: Sequence[Mesh], observation: Observation) -> "Overlay":
         """Parts (camera frame, metres) and what was seen of them, a depth image or a cloud."""
         camera = _camera_around(parts, observation)
-        mesh = merge_meshes(parts)
-        rendered = rasterise(mesh.vertices, mesh.faces, np.zeros(len(mesh.faces), np.uint8), camera).depth
+        rendered = render_parts(parts, camera).depth
         size = float(np.linalg.norm(np.ptp(np.percentile(observation.points, [2, 98], axis=0), axis=0)))
         return cls(camera, *_seen(observation, camera), rendered, MARGIN * size)
 

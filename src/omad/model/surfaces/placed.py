@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from omad.data.rendering.rasteriser import Rendering, rasterise
+from omad.data.rendering.rasteriser import Rendering, render_parts
 from omad.geometry.camera import Camera
-from omad.geometry.mesh import Mesh, merge_meshes
+from omad.geometry.mesh import Mesh
 from omad.geometry.rigid import carry
 from omad.objects.pose import ObjectPose
 
@@ -77,9 +77,7 @@ class VisibleSurface:
 
 def _picture(meshes: list[Mesh], around: Floats, pixels: int) -> tuple[Rendering, Camera]:
     """What is seen of meshes, with a camera that sees all of them and the points ``around`` (N, 3)."""
-    mesh = merge_meshes(meshes)
-    points = np.concatenate([mesh.vertices, around])
+    points = np.concatenate([*(mesh.vertices for mesh in meshes), around])
     points = points[points[:, 2] > 0]
     camera = Camera.around(points[:, :2] / points[:, 2:], pixels)
-    labels = np.repeat(np.arange(len(meshes), dtype=np.uint8), [len(each.faces) for each in meshes])
-    return rasterise(mesh.vertices, mesh.faces, labels, camera), camera
+    return render_parts(meshes, camera), camera

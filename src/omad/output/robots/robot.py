@@ -20,6 +20,8 @@ from .collision import collision_bodies, relative_places
 
 EMPTY = 0.02
 """Metres: sides of the box whose mass a link without a body has."""
+LEAST = 1e-14
+"""kg m^2: simulators refuse what is turned about some axis with less, as the hull of a part with few keypoints is."""
 DENSITY = 300.0
 """kg per cubic metre of a part's volume; a guess, a depth image shows no mass."""
 GRAVITY = 9.81
@@ -43,8 +45,8 @@ class Solid:
 
     @classmethod
     def of(cls, mesh: Mesh | None) -> Solid:
-        """Of what closed solids enclose, once where they overlap; of a small box where there is none: simulators need
-        some mass."""
+        """Of what closed solids enclose, once where they overlap; of a small box where there is none, or next to none:
+        simulators need some mass."""
         import trimesh  # slow to import
 
         solid = trimesh.creation.box(extents=[EMPTY] * 3)
@@ -52,7 +54,8 @@ class Solid:
             surface = united(mesh)
             solid = trimesh.Trimesh(surface.vertices, surface.faces, process=False)
         solid.density = DENSITY
-        return cls(float(solid.mass), np.asarray(solid.center_mass), np.asarray(solid.moment_inertia))
+        found = cls(float(solid.mass), np.asarray(solid.center_mass), np.asarray(solid.moment_inertia))
+        return found if mesh is None or np.linalg.eigvalsh(found.inertia)[0] >= LEAST else cls.of(None)
 
 
 @dataclass(frozen=True)
