@@ -15,9 +15,8 @@ import tyro
 from omad.common.batches import progress
 from omad.data.procedural import generate
 from omad.data.rendering.depth_noise import LEVELS
-from omad.data.rendering.standard_views import standard_view
+from omad.data.rendering.standard_views import standard_view, true_pose
 from omad.estimation.estimator import Estimator
-from omad.evaluation.evaluate import true_pose
 from omad.evaluation.metrics import pose_errors
 from omad.evaluation.shape import surface_distances
 from omad.geometry.mesh import merge_meshes

@@ -18,12 +18,11 @@ from omad.common.errors import InputError
 from omad.data.procedural import generate
 from omad.data.rendering.spoils.scenes import draw_scene
 from omad.data.rendering.spoils.spoiling import spoilt
-from omad.data.rendering.standard_views import View
+from omad.data.rendering.standard_views import View, true_pose
 from omad.estimation import estimator as module
 from omad.estimation.estimate import Estimate
 from omad.estimation.estimator import Estimator
 from omad.estimation.looks.improbable import is_improbable
-from omad.evaluation.evaluate import true_pose
 from omad.evaluation.metrics import pose_errors
 from omad.evaluation.robustness.rows import ROWS
 

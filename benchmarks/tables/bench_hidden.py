@@ -19,9 +19,8 @@ from omad.data.procedural import generate
 from omad.data.rendering.spoils.scenes import draw_scene
 from omad.data.rendering.spoils.spoil import Spoil, Staging
 from omad.data.rendering.spoils.spoiling import spoilt
-from omad.data.rendering.standard_views import View
+from omad.data.rendering.standard_views import View, true_pose
 from omad.estimation.estimator import Estimator
-from omad.evaluation.evaluate import true_pose
 from omad.evaluation.metrics import pose_errors
 
 OBJECTS, SEED = 20, 0

@@ -19,8 +19,7 @@ import tyro
 from omad.common.files import write_atomic
 from omad.data.procedural import generate
 from omad.data.rendering.depth_noise import LEVELS
-from omad.data.rendering.standard_views import standard_view
-from omad.evaluation.evaluate import true_pose
+from omad.data.rendering.standard_views import standard_view, true_pose
 from omad.model.checkpoint import shipped_categories
 from omad.objects.category_file import get_category
 from omad.sensing.observation import Observation

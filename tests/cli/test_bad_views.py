@@ -3,7 +3,9 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
+from PIL import Image
 
 from helpers.command_line import LAPTOP, answer, refused
 from omad.cli.main import run
@@ -30,10 +32,13 @@ def test_truth_that_cannot_be_is_refused(field, value, capsys):
 
 def test_views_that_show_nothing_are_said_to(capsys):
     answer(capsys, "render", *LAPTOP, "--objects", "1", "--views", "1", "--output", "views")
+    [depth] = Path("views").glob("*/00000.depth.png")
+    Image.fromarray(np.eye(480, 640, dtype=np.uint8) * (np.arange(640) < 9)).save(depth.with_name("00000.mask.png"))
+    assert run(["eval", "pose", *LAPTOP, "--source", "views"]) == 1
+    assert "1 of 1 views: depth: ... of ... measured pixels" in capsys.readouterr().err
     file = Path("views/dataset.json")
     file.write_text(json.dumps({**json.loads(file.read_text()), "depth_scale": 1.0}))
-    assert run(["eval", "pose", *LAPTOP, "--source", "views"]) == 1
-    assert "1 of 1 views: depth: " in capsys.readouterr().err
+    assert "m away; depth_scale is in metres" in refused(capsys, "eval", "pose", *LAPTOP, "--source", "views")
 
 
 def test_rendered_views_that_do_not_fit_the_question(capsys):

@@ -194,6 +194,16 @@ def test_hidden_folders_are_no_objects(capsys):
     assert files_in(Path(".hidden"), "**/[!.]*") == [Path(".hidden/b.png")]  # which was asked for
 
 
+def test_a_picture_beside_a_cloud_is_no_input(capsys):
+    save_png("images/a.png")
+    np.savetxt("images/b.xyz", np.eye(3))
+    for name in ("a.tif", "b.png"):
+        Image.new("RGB", (4, 3)).save(f"images/{name}")
+    assert files_in(Path("images")) == [Path("images/a.png"), Path("images/b.xyz")]
+    Image.new("L", (4, 3)).save("images/c.png")  # alone, it is refused when it is read
+    assert files_in(Path("images"))[2:] == [Path("images/c.png")]
+
+
 def test_bad_input_is_one_line(capsys):
     query = ["index", "query", save_png("q.png")]
     assert "nowhere.npz: " in refused(capsys, *query, *K, "--index", "nowhere.npz")

@@ -1,6 +1,8 @@
 """The bank of surfaces by commands: made for a checkpoint, used by estimates, and exported with it."""
 
+import re
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,6 +10,8 @@ import pytest
 import omad
 from helpers.command_line import LAPTOP, K, answer, laptop_view, refused, save_png
 from omad.cli.main import run
+from omad.cli.training import networks
+from omad.cli.training.fitted import surface_text
 from omad.evaluation.confidence import surface_shares
 from omad.model.checkpoint import find_weights, load, save
 from omad.model.priornet import PriorNet
@@ -34,6 +38,10 @@ def test_estimates_take_their_surfaces_from_the_bank(weights, capsys):
     assert (made["file"], made["objects"]) == (str(weights / FILE), 3)
     assert len(made["shares"]) == 2
     assert np.shape(made["errors"]) == (3, 2)
+    lines = surface_text(omad.get_category("laptop"), made).splitlines()
+    assert [line.split("  ")[0] for line in lines[3:5]] == ["base's ends", "hinge"]
+    assert re.search(r"hinge +\d+\.\d° ", lines[4])
+    assert "was not measured" in surface_text(omad.get_category("laptop"), made | {"shares": None})
     estimate = omad.Estimator.from_pretrained(weights, "cpu")(observation)
     assert [part.name for part in estimate.parts] == ["base", "screen"]
     assert [len(part.mesh.faces) for part in estimate.parts] != hulls
@@ -52,6 +60,26 @@ def test_an_interrupted_measurement_leaves_no_bank_that_looks_finished(weights, 
     monkeypatch.setattr(surface_shares, "measured_shares", interrupted)
     assert run(["train", "surface", *LAPTOP, "--weights", str(weights), "--objects", "1", "--views", "1"]) == 130
     assert not (weights / FILE).exists()
+
+
+def test_where_nothing_can_be_written_is_told_before_anything_is_measured(weights, monkeypatch, capsys):
+    def denied(path):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(networks, "unfinished", denied)
+    monkeypatch.setattr(surface_shares, "measured_shares", None)
+    said = refused(capsys, "train", "surface", *LAPTOP, "--weights", str(weights), "--objects", "1")
+    assert "surfaces.npz: cannot be written (Permission denied)" in said
+
+
+def test_that_shipped_weights_are_changed_is_told(tmp_path, capsys):
+    networks._check_folder_of(None, tmp_path, FILE)
+    assert (
+        "surfaces.npz: of the shipped weights, is written anew; to keep it, give --weights" in capsys.readouterr().err
+    )
+    with pytest.raises(omad.InputError, match="is at an address"):
+        networks._check_folder_of(Path("https://here.org/w"), tmp_path, FILE)
+    assert not any(tmp_path.iterdir())
 
 
 def test_the_bank_must_be_of_the_weights_prior_and_models_want_that_in_their_folder(weights, tmp_path, capsys):

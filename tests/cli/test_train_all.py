@@ -51,7 +51,7 @@ def test_all_steps_of_two_categories_and_what_is_done_stays(capsys, monkeypatch)
     assert run(command[:-1] + ["runs"]) == 0
     seen = capsys.readouterr()
     assert "within 5° 5 %" in seen.out
-    assert "laptop: TrainSurface is done, and kept" in seen.err
+    assert "laptop: bank of surfaces is done, and kept" in seen.err
 
 
 @pytest.mark.slow
@@ -81,8 +81,8 @@ def test_two_processes_share_the_networks_training_and_one_does_the_rest(tmp_pat
     found = json.loads(done.stdout)  # one object, whatever number of processes
     assert [result["category"] for result in found["results"]] == ["laptop", "scissors"]
     for name in ("laptop", "scissors"):
-        assert done.stderr.count(f"{name}: TrainNet") == 2
-        assert done.stderr.count(f"{name}: TrainConfidence") == 1
+        assert done.stderr.count(f"{name}: network") == 2
+        assert done.stderr.count(f"{name}: confidence") == 1
         folder = Path("runs") / name
         for file in ("config.json", "confidence.json", "surfaces.npz", "results.json"):
             assert (folder / file).is_file(), file
@@ -93,6 +93,11 @@ def test_two_processes_share_the_networks_training_and_one_does_the_rest(tmp_pat
 def test_a_batch_that_cannot_be_shared_is_refused_before_anything_is_trained(capsys, monkeypatch):
     monkeypatch.setattr(SeveralProcesses, "start", lambda self: Processes(torch.device("cpu"), count=3))
     assert "--batch 2: cannot be dealt out evenly to 3 processes" in refused(capsys, "train", "all", *TINY)
+    assert not Path("runs").exists()
+
+
+def test_features_that_are_not_there_are_refused_before_anything_is_trained(capsys):
+    assert "no weights for 'laptp'" in refused(capsys, "train", "all", *TINY, "--features", "laptp")
     assert not Path("runs").exists()
 
 

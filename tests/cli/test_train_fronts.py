@@ -34,4 +34,5 @@ def test_where_objects_may_be_of_either_hand_that_is_learned_too(capsys, tmp_pat
 
 def test_what_cannot_be_is_refused(capsys):
     assert "submarine" in refused(capsys, *TINY[:-2], "submarine")
+    assert "x.png: is the name of a file" in refused(capsys, *TINY[:-2], "submarine", "--output", "x.png")
     assert "--views" in refused(capsys, *TINY, "--views", "0")

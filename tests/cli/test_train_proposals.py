@@ -1,5 +1,7 @@
 """``omad train proposals`` on the command line."""
 
+from pathlib import Path
+
 import pytest
 
 from helpers.command_line import answer, refused
@@ -16,7 +18,7 @@ def elsewhere(tmp_path, monkeypatch):
 
 
 def test_a_checkpoint_knows_what_it_was_trained_for(capsys, tmp_path):
-    found = answer(capsys, *TINY, "--categories", "laptop", "jar", "--device", "cpu")
+    found = answer(capsys, *TINY, "--categories", "laptop", "jar", "laptop", "--device", "cpu")
     assert found == {"checkpoint": "run", "categories": ["laptop", "jar"]}
     assert load(ProposalNet, tmp_path / "run").names == ("laptop", "jar")
     assert training_record(ProposalNet, tmp_path / "run")["features"] == "laptop"
@@ -33,6 +35,8 @@ def test_a_finer_look_begins_with_what_a_slim_one_knows(capsys, tmp_path):
 
 def test_what_cannot_be_is_refused(capsys):
     assert "submarine" in refused(capsys, *TINY, "--categories", "submarine")
+    Path("file").write_text("")
+    assert "file: is a file, where a folder" in refused(capsys, *TINY, "--output", "file", "--categories", "submarine")
     assert "nowhere" in refused(capsys, *TINY, "--initial", "nowhere")
     assert "--size huge" in refused(capsys, *TINY, "--size", "huge")
     assert "--features laptop" in refused(capsys, *TINY, "--size", "paper")

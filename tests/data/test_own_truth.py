@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -46,6 +47,19 @@ def test_other_units_and_frames_are_named(folder, file, change, said):
     path.write_text(json.dumps(change(json.loads(path.read_text()))))
     with pytest.raises(InputError, match=rf"{file}.*{said}"):
         list(open_views(folder))
+
+
+@pytest.mark.parametrize(("zero", "said"), [(0, ""), (np.pi / 2, "in 2 of 2 views a part is not where its pixels are")])
+def test_parts_that_are_mostly_not_where_their_pixels_are_are_told_of(folder, zero, said, capsys):
+    for path in folder.rglob("0000*.json"):
+        path.write_text(json.dumps(changed("states", lambda states: states - zero)(json.loads(path.read_text()))))
+    views = open_views(folder, category=LAPTOP)
+    assert len(list(views)) == len(list(islice(views, 2))) == 2
+    told = capsys.readouterr().err
+    assert said in told
+    assert told.count("\n") == bool(zero)
+    next(iter(open_views(folder, category=LAPTOP)))  # where no more is asked for
+    assert ("in 1 of 1 views" in capsys.readouterr().err) == bool(zero)
 
 
 LABELS = {

@@ -12,14 +12,13 @@ from helpers.categories import DISHWASHER, EVERY
 from helpers.own_models import microwave
 from omad.common.errors import InputError
 from omad.data.procedural import generate
-from omad.data.rendering.standard_views import standard_view
+from omad.data.rendering.standard_views import standard_view, true_pose
 from omad.data.source import load_models
 from omad.data.urdf_import.folder import import_with_notes
 from omad.estimation.estimator import Estimator
 from omad.estimation.known import Known
 from omad.estimation.looks.beginning import ANYWHERE
 from omad.estimation.looks.either_hand import surer_hands, told
-from omad.evaluation.evaluate import true_pose
 from omad.evaluation.metrics import pose_errors
 from omad.geometry.transforms import MIRROR_X
 from omad.objects.category import Category

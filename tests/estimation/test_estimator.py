@@ -15,10 +15,9 @@ from scipy.spatial.transform import Rotation
 import omad
 from helpers.categories import CATEGORIES
 from omad.data.procedural import generate
-from omad.data.rendering.standard_views import View, standard_view
+from omad.data.rendering.standard_views import View, standard_view, true_pose
 from omad.estimation.estimator import Estimator, EstimatorConfig
 from omad.evaluation.baselines.adam import adam_refinement
-from omad.evaluation.evaluate import true_pose
 from omad.geometry.joint_kinds import REVOLUTE
 
 NAMES = list(CATEGORIES)

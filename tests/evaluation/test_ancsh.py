@@ -11,7 +11,7 @@ from helpers.categories import CATEGORIES, DRAWER, EYEGLASSES, LAPTOP
 from helpers.command_line import answer, refused
 from omad.common.errors import InputError
 from omad.data.procedural import generate
-from omad.data.rendering.standard_views import standard_view
+from omad.data.rendering.standard_views import standard_view, true_pose
 from omad.data.surface_bank import SurfaceBank
 from omad.data.training_views import ViewBatch, ViewSettings, draw_views
 from omad.evaluation.baselines.ancsh.alignment import AlignmentConfig, Poses, align
@@ -27,7 +27,6 @@ from omad.evaluation.baselines.ancsh.estimator import AncshConfig, AncshEstimato
 from omad.evaluation.baselines.ancsh.net import AncshNet, AncshPrediction
 from omad.evaluation.baselines.ancsh.similarity import RansacConfig, fit_similarity, ransac
 from omad.evaluation.baselines.ancsh.training import AncshTraining, train_ancsh
-from omad.evaluation.evaluate import true_pose
 from omad.evaluation.metrics import pose_errors
 from omad.geometry.kinematics import joint_lines, part_transforms
 from omad.geometry.transforms import (

@@ -1,5 +1,6 @@
 """Fitting confidence, on numbers whose distribution is known, and the views that it is fitted to."""
 
+import re
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
@@ -9,6 +10,7 @@ import pytest
 from scipy.stats import mannwhitneyu, norm
 
 from helpers.categories import DRAWER, LAPTOP
+from omad.cli.training.fitted import confidence_text
 from omad.cli.training.networks import TrainConfidence
 from omad.common.errors import InputError
 from omad.data.procedural import generate
@@ -130,6 +132,12 @@ def test_too_few_views_are_refused_before_any_is_made(monkeypatch: pytest.Monkey
     with pytest.raises(InputError, match="from 275 on"):  # enough only if all of them showed it
         TrainConfidence(category="microwave", views=274).run()
     fitting.check_views(275)
+
+
+def test_a_person_is_told_what_was_promised_and_what_was_measured(fitted: Confidence) -> None:
+    record = fitting.measured(fitted, answers(1)[0], LAPTOP)
+    lines = confidence_text({"checkpoint": "run", "views": VIEWS, "asks_front": False} | record).splitlines()
+    assert re.fullmatch(r"joint states in their 90 % interval +90% +\d+%", lines[4])
 
 
 def test_a_fit_can_be_kept(fitted: Confidence, tmp_path: Path) -> None:

@@ -12,9 +12,9 @@ from helpers.categories import CATEGORIES, LAPTOP
 from helpers.command_line import answer, refused
 from omad.common.errors import InputError
 from omad.data.procedural import generate
+from omad.data.rendering.standard_views import true_pose
 from omad.data.source import load_views
 from omad.estimation.estimator import Estimator
-from omad.evaluation.evaluate import true_pose
 from omad.evaluation.paper.ablation import SETTINGS, TRAINED, Trained, checkpoint_of, train_variant
 from omad.evaluation.paper.released import known_means, released_errors
 from omad.evaluation.paper.true_keypoints import from_true_keypoints

@@ -19,12 +19,11 @@ from helpers.categories import CATEGORIES
 from helpers.command_line import LAPTOP, K, answer, save_png
 from omad.common.errors import InputError
 from omad.data.procedural import generate
-from omad.data.rendering.standard_views import standard_view
+from omad.data.rendering.standard_views import standard_view, true_pose
 from omad.estimation.checks import doubts
 from omad.estimation.estimate import Estimate
 from omad.estimation.estimator import Estimator
 from omad.estimation.part_labels import LabelledPoints
-from omad.evaluation.evaluate import true_pose
 from omad.geometry.joint_kinds import Motion
 from omad.geometry.kinematics import KinematicTree, deform, part_transforms
 from omad.objects.category_file import get_category

@@ -197,12 +197,12 @@ def checkpoints(weights: Path | None, names: Sequence[str] = ()) -> list[Path]:
 
 
 def generable(names: Sequence[str]) -> tuple[str, ...]:
-    """Those categories, or all that can be generated. Raises InputError where one of them cannot be."""
+    """Those categories, each once, or all that can be generated. Raises InputError where one of them cannot be."""
     known = procedural.GENERATORS
     if unknown := [name for name in names if name not in known]:
         cure = "put blanks between categories" if "," in unknown[0] else f"choose among {', '.join(known)}"
         raise InputError(f"{unknown[0]}: cannot be generated; {cure}")
-    return tuple(names) or known
+    return tuple(dict.fromkeys(names)) or known
 
 
 def load_prior(folder: Path, device: str) -> PriorNet:

@@ -7,12 +7,11 @@ from typing import Any
 import numpy as np
 
 from omad.data.procedural import generate
-from omad.data.rendering.standard_views import standard_view
+from omad.data.rendering.standard_views import standard_view, true_pose
 from omad.estimation.estimator import Estimator
 from omad.output.page import save_html
 from omad.output.picture import figure, save
 
-from .evaluate import true_pose
 from .metrics import pose_errors
 
 

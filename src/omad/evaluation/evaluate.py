@@ -8,15 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 
 from omad.common.batches import batched, progress
 from omad.common.errors import InputError
-from omad.data.rendering.standard_views import View, observe_all
+from omad.data.rendering.standard_views import View, observe_all, true_pose
 from omad.estimation.estimate import Estimate
 from omad.estimation.estimator import Estimator
 from omad.objects.category import Category
-from omad.objects.pose import ObjectPose
 from omad.output.picture import figure, save
 
 from .metrics import PoseErrors, bootstrap_interval, missing_errors, pose_errors, summarise
@@ -54,13 +52,6 @@ class ViewResult:
         """Without images and answers."""
         seconds = self.estimate.seconds if self.estimate else None
         return Measured(self.view.object, self.view.truth.diagonal, self.initial, self.refined, seconds)
-
-
-def true_pose(view: View, category: Category) -> ObjectPose:
-    """Where the object of a view really is, in camera space."""
-    placed = (view.truth.axes, view.truth.pivots, view.states, view.T_camera_base)
-    tensors = (torch.as_tensor(values, dtype=torch.float64)[None] for values in placed)
-    return ObjectPose.at(category.metric_tree, *tensors).rows()[0]
 
 
 def evaluate(
@@ -136,7 +127,7 @@ def failed(results: Sequence[ViewResult]) -> dict[str, int]:
             try:
                 result.view.observation()
             except InputError as error:
-                reasons[re.sub(r"\d+", "...", str(error))] += 1
+                reasons[re.sub(r"\d+(\.\d+)?", "...", str(error))] += 1
     return dict(reasons)
 
 

@@ -3,16 +3,20 @@
 Of ``x.png`` or ``x.depth.png`` these are, the first that tells counts: ``x.json`` or ``x.yaml``, ``camera.json`` or
 ``camera.yaml`` in its folder, and ``dataset.json`` in its folder or the one above, as ``omad render`` writes it. The
 mask is ``x.mask.png``, the colour image ``x.color.png`` or ``x.color.jpg``. A file with neither intrinsics nor
-``depth_scale`` is not for it, and passed over.
+``depth_scale`` is not for it, and passed over, as is in a folder of inputs a picture ``x.png`` beside an ``x.ply``.
 """
 
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+from PIL import Image
+
 from omad.common.errors import InputError
+from omad.common.incoming import IMAGE_FORMATS
 from omad.common.limits import limits
 
 from .camera_files import CameraFile, camera_of, read_table, scale_of, tells_of_camera
@@ -57,6 +61,13 @@ class Beside:
 def is_companion(file: Path) -> bool:
     """Whether an image belongs to a depth image, by its name, as ``00000.labels.png`` does."""
     return Path(file.stem).suffix.lower() in COMPANIONS
+
+
+def is_picture(file: Path) -> bool:
+    """Whether a file is an image of colours, or of few greys: of ``x.ply``, say, ``x.png`` is no depth image then."""
+    with suppress(OSError, ValueError, Image.DecompressionBombError), Image.open(file, formats=IMAGE_FORMATS) as image:
+        return image.mode[0] not in "IF"
+    return False
 
 
 def may_lie_beside(depth: Path) -> Iterator[Path]:

@@ -1,6 +1,7 @@
 """Depth images and clouds given to a command, with the options that say how to read them."""
 
 import os
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -13,7 +14,7 @@ from omad.common.errors import InputError, named, shown
 from omad.common.incoming import is_file
 from omad.geometry.camera import Camera
 
-from .beside import Beside, is_companion
+from .beside import Beside, is_companion, is_picture
 from .camera_files import CameraFile, parse_distortion, read_camera, read_transform
 from .colour_mask import ColourCamera
 from .depth_files import (
@@ -251,11 +252,13 @@ def input_files(paths: Sequence[Path]) -> list[Path]:
 
 
 def files_in(folder: Path, pattern: str = "[!.]*") -> list[Path]:
-    """Depth images and clouds in a folder, without the masks and labels of ``omad render``; ``**/[!.]*``: in its
-    sub-folders, too, but for hidden ones."""
+    """Depth images and clouds in a folder, without the masks and labels of ``omad render`` and pictures with the name
+    of another one; ``**/[!.]*``: in its sub-folders, too, but for hidden ones."""
     known = (path for path in folder.glob(pattern) if path.suffix.lower() in KNOWN and not is_companion(path))
     seen = (path for path in known if not any(part[0] == "." for part in path.relative_to(folder).parts))
-    return sorted(path for path in seen if path.is_file())
+    files = sorted(path for path in seen if path.is_file())
+    named = Counter(path.with_suffix("") for path in files)
+    return [path for path in files if named[path.with_suffix("")] == 1 or not is_picture(path)]
 
 
 def _existing(file: Path) -> None:

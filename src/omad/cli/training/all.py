@@ -22,13 +22,15 @@ from .schedule import ScheduleOptions
 with lazy_imports():
     from omad.estimation.confidence import model as confidences
     from omad.evaluation.confidence import fitting
-    from omad.model.checkpoint import is_checkpoint
+    from omad.model.checkpoint import is_checkpoint, meant_weights
     from omad.model.surfaces import bank
     from omad.training.processes import Processes
 
 PRIOR, FIRST, LAST = 0.08, 0.62, 0.3
 """Of a category's time: for the prior, for the network, and for the network with the refined answer's error."""
 RESULTS = "results.json"
+NOTHING = "nothing"
+"""In place of the features to begin with."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,9 +64,11 @@ class TrainAll:
     def run(self) -> Answer:
         check_positive(minutes=self.minutes, objects=self.objects, views=self.views, steps=self.steps, batch=self.batch)
         names = generable(self.categories)
+        if self.features != NOTHING:
+            meant_weights("--features", self.features)  # rather now than once the prior is learnt
         processes = self.several.start()
         with processes.heard():
-            processes.share(self.batch)  # rather now than once the prior is learnt
+            processes.share(self.batch)  # as above
             results = [self._one(name, processes) for name in names]
         return Answer({"folder": str(self.output), "results": results}, all_text)
 
@@ -78,7 +82,7 @@ class TrainAll:
         longer = replace(long, batch=self.batch, steps=self.steps or 10**7)
         prior: dict[str, Any] = made | {"schedule": self._within(PRIOR, long), "several": SeveralProcesses(device)}
         net: dict[str, Any] = made | {"prior": priors, "clutter": True, "several": self.several}
-        start: dict[str, Any] = net | {"features": None if self.features == "nothing" else self.features}
+        start: dict[str, Any] = net | {"features": None if self.features == NOTHING else self.features}
         start |= {"schedule": self._within(FIRST, longer)}
         last: dict[str, Any] = net | {"refinement_loss": 6.0, "initial": str(first)}
         # of the same seed, it would be shown the same views again
@@ -86,16 +90,16 @@ class TrainAll:
         made |= {"weights": home, "threads": self.threads}
         confident = max(10 * self.views, 2 * fitting.FEWEST)  # as a part of them shows other things, or too little
         stages = (
-            (lambda: is_checkpoint(priors), TrainPrior(**prior, output=priors)),
-            (lambda: is_checkpoint(first), TrainNet(**start, output=first)),
-            (lambda: is_checkpoint(home), TrainNet(**last, output=home)),
-            ((home / confidences.FILE).is_file, TrainConfidence(**made, views=confident, seed=self.seed)),
-            ((home / bank.FILE).is_file, TrainSurface(**made, views=self.views, device=device)),
+            ("prior", lambda: is_checkpoint(priors), TrainPrior(**prior, output=priors)),
+            ("network", lambda: is_checkpoint(first), TrainNet(**start, output=first)),
+            ("network by the refined answer's error", lambda: is_checkpoint(home), TrainNet(**last, output=home)),
+            ("confidence", (home / confidences.FILE).is_file, TrainConfidence(**made, views=confident, seed=self.seed)),
+            ("bank of surfaces", (home / bank.FILE).is_file, TrainSurface(**made, views=self.views, device=device)),
         )
-        for done, stage in stages:
+        for what, done, stage in stages:
             kept = processes.from_first(done)
             if processes.first:
-                print(f"{name}: {type(stage).__name__}{' is done, and kept' * kept}", file=sys.stderr, flush=True)
+                print(f"{name}: {what}{' is done, and kept' * kept}", file=sys.stderr, flush=True)
             if kept:
                 continue
             if isinstance(stage, TrainNet):

@@ -9,7 +9,9 @@ from typing import Any
 from tyro.conf import OmitArgPrefixes
 
 import omad
+from omad.common.files import check_folder
 from omad.common.lazy import lazy_imports
+from omad.common.stderr import tell
 
 from ..answer import Answer
 from ..options import Device, Json, check_positive, generable
@@ -49,6 +51,7 @@ class TrainFronts:
 
     def run(self) -> Answer:
         check_positive(objects=self.objects, views=self.views)
+        check_folder(self.output)
         names, device = generable(self.categories or tuple(shipped_categories())), pick_device(self.device)
         front = FrontTraining(self.schedule.of(FrontTraining().schedule))
         hand = HandTraining(self.schedule.of(HandTraining().schedule))
@@ -70,6 +73,7 @@ class TrainFronts:
         identity = {"objects": self.objects, "views": self.views, "seed": seed, "version": omad.__version__}
         if found := load_arrays(path, identity, "--output"):
             return found["images"]
+        tell(f"{name}: images{' of nearly shut ones' * shut}")
         category = omad.get_category(name)
         models = load_models("procedural", category, self.objects, "train", 0).models
         if shut:  # two by two, as every second view is spoilt

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -11,8 +12,9 @@ from tyro.conf import OmitArgPrefixes
 
 import omad
 from omad.common.errors import InputError
-from omad.common.files import check_folder
+from omad.common.files import check_folder, unfinished, writing
 from omad.common.lazy import lazy_imports
+from omad.common.stderr import tell
 
 from ..answer import Answer
 from ..options import (
@@ -27,13 +29,16 @@ from ..options import (
     load_prior,
     use_threads,
 )
+from .fitted import confidence_text, surface_text
 from .schedule import ScheduleOptions
 
 with lazy_imports():
+    from omad.common.incoming import address_of
     from omad.common.runtime import device_name, pick_device
     from omad.data.clutter.settings import Clutter
     from omad.data.source import is_generated, load_models, load_objects
     from omad.data.training_views import ViewSettings
+    from omad.estimation.confidence import model as confidences
     from omad.evaluation.baselines.ancsh.training import AncshTraining, train_ancsh
     from omad.evaluation.baselines.siamese import SiameseTraining, train_siamese
     from omad.evaluation.confidence import fitting
@@ -182,8 +187,9 @@ class TrainSurface:
         bank = surface_bank(net, models, generated=self.source == "procedural")
         estimator = omad.Estimator.from_pretrained(folder)
         bank.check_prior(estimator.net.prior, folder / banks.FILE)
+        _check_folder_of(self.weights, folder, banks.FILE)
         unseen = self.unseen or (self.source if is_generated(self.source) else None)
-        record: dict[str, Any] = {}
+        record = dict.fromkeys(("shares", "errors", "views", "follows"))
         if unseen is not None:
             models = load_models(unseen, net.category, self.views, "train", UNSEEN).models
             estimator.answers.surfaces = Surfaces(estimator.net.prior, net.category, lambda: bank)
@@ -191,10 +197,11 @@ class TrainSurface:
             if shares is not None:
                 follows = follows_better(estimator, bank, models, self.views // 2, seed=0)
                 bank = replace(bank, shares=shares, follows=follows)
-                record = {"shares": shares.taken.tolist(), "errors": shares.errors.tolist(), "views": shares.views}
+                record |= {"shares": shares.taken.tolist(), "errors": shares.errors.tolist(), "views": shares.views}
                 record["follows"] = follows
         path = bank.save(folder)  # the last: where it is, all that is measured is in it
-        return Answer({"file": str(path), "objects": len(bank), "bytes": path.stat().st_size, **record})
+        record = {"file": str(path), "objects": len(bank), "bytes": path.stat().st_size, **record}
+        return Answer(record, partial(surface_text, net.category))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -305,6 +312,18 @@ class TrainNet(_NetTraining):
         return prior
 
 
+def _check_folder_of(weights: Path | None, folder: Path, file: str) -> None:
+    """Before the work: raises InputError where a ``file`` cannot be put into the ``folder`` of weights; of shipped ones
+    it says so."""
+    if weights is not None and address_of(weights) is not None:
+        raise InputError(f"--weights {weights}: is at an address, where nothing is written; give a folder of your own")
+    with writing(folder / file), unfinished(folder / file):
+        pass
+    if weights is None:
+        told = f"{folder / file}: of the shipped weights, is written anew"
+        tell(f"{told}; to keep it, give --weights a copy, as omad export makes it")
+
+
 VIEWS_AN_OBJECT = 20
 """As many views as confidence is learned from for an object that is seen from several sides."""
 UNSEEN = 1
@@ -340,6 +359,7 @@ class TrainConfidence(CategoryCommand):
         estimator = omad.Estimator(net, device=pick_device(self.device))  # what it may know of its errors is of before
         estimator.answers.asks_front, category = True, net.category
         models = load_models(self.source, category, self.objects, "train", UNSEEN).models
+        _check_folder_of(self.weights, folder, confidences.FILE)
         if category.either_hand:
             estimator.hand = fit_hand(estimator, models, 2 * self.views, self.seed + 1)
         answers = fitting.answered(estimator, models, self.views, self.seed)
@@ -351,4 +371,4 @@ class TrainConfidence(CategoryCommand):
         confidence.save(folder)
         record = {"checkpoint": str(folder), "views": self.views, "asks_front": confidence.asks_front}
         others = fitting.answered(estimator, models, max(self.views // 4, 1), self.seed + 2)  # not those fitted to
-        return Answer(record | fitting.measured(confidence, others, category))
+        return Answer(record | fitting.measured(confidence, others, category), confidence_text)

@@ -10,6 +10,7 @@ from tyro.conf import OmitArgPrefixes
 
 import omad
 from omad.common.errors import InputError
+from omad.common.files import check_folder
 from omad.common.lazy import lazy_imports
 
 from ..answer import Answer
@@ -52,6 +53,7 @@ class TrainProposals:
 
     def run(self) -> Answer:
         check_positive(objects=self.objects, strangers=self.strangers)
+        check_folder(self.output)
         names = generable(self.categories)
         preset, (begun, backbone) = ProposalTraining(), self._begun()
         schedule = self.schedule.of(preset.schedule)

@@ -12,6 +12,7 @@ from omad.geometry.camera import STANDARD_CAMERA, Camera
 from omad.geometry.rigid import bounding_sphere
 from omad.objects.category import Category, ViewRange
 from omad.objects.model import ObjectModel, diagonal
+from omad.objects.pose import ObjectPose
 from omad.sensing.observation import Observation
 
 from .depth_noise import NoiseLevel, add_noise
@@ -86,6 +87,13 @@ class View:
             return self.observation()
         except InputError:
             return None
+
+
+def true_pose(view: View, category: Category) -> ObjectPose:
+    """Where the object of a view really is, in camera space."""
+    placed = (view.truth.axes, view.truth.pivots, view.states, view.T_camera_base)
+    tensors = (torch.as_tensor(values, dtype=torch.float64)[None] for values in placed)
+    return ObjectPose.at(category.metric_tree, *tensors).rows()[0]
 
 
 def observe_all(views: Iterable[View]) -> dict[int, Observation]:

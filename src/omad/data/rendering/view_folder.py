@@ -28,12 +28,13 @@ from typing import Any
 
 import numpy as np
 import torch
-from tqdm import tqdm
 
+from omad.common import batches
 from omad.common.errors import InputError
 from omad.common.files import write_json
 from omad.common.incoming import decoded, is_file, read_image, read_json, read_record
 from omad.common.processes.workers import helpers
+from omad.common.stderr import tell
 from omad.geometry.camera import STANDARD_CAMERA, Camera
 from omad.objects.category import Category
 from omad.objects.model import ObjectModel
@@ -41,6 +42,7 @@ from omad.sensing.depth_files import read_depth
 
 from ..broken import Broken, passing_over
 from .depth_noise import NoiseLevel
+from .misplaced import CHECK, is_misplaced
 from .rasteriser import NOTHING
 from .spoils.spoiling import cluttered
 from .standard_views import ObjectTruth, View, ViewSeed, standard_view, view_seed
@@ -68,10 +70,12 @@ class ViewFolder:
     views: int
     clutter: bool = False
     broken: Broken = "refuse"
-    joints: int | None = None
-    """Of its objects; None: as many as they say."""
+    spec: Category | None = None
+    """Of its objects; None: they have as many joints as they say."""
     left_out: list[dict[str, str]] = field(default_factory=list)
     """{"name": of the view or object, "reason": one line}; grows while views are read."""
+    told: list[str] = field(default_factory=list)
+    """What a person was told of all views."""
 
     def __len__(self) -> int:
         return self.views
@@ -89,7 +93,10 @@ class ViewFolder:
         truths: dict[int, ObjectTruth] = {}
         for number, name in enumerate(self.objects[: self.views]):
             with passing_over(self.broken, self.left_out, name):
-                truths[number] = _read_truth(self.path / name, self.joints)
+                truths[number] = _read_truth(self.path / name, self.spec)
+        yield from self._placed(self._views(truths, first))
+
+    def _views(self, truths: dict[int, ObjectTruth], first: int) -> Iterator[View]:
         for index in range(first, self.views):
             seed, view = view_seed(index, len(self.objects), self.seed), None
             if (truth := truths.get(seed[1])) is None:
@@ -98,6 +105,19 @@ class ViewFolder:
                 view = self._read(truth, seed)
             if view is not None:
                 yield view
+
+    def _placed(self, views: Iterator[View]) -> Iterator[View]:
+        """The same; at the end, or where a reader stops, it is told once if most of them cannot be right."""
+        whole = misplaced = 0
+        try:
+            for view in views:
+                whole += 1
+                misplaced += self.spec is not None and is_misplaced(view, self.spec)
+                yield view
+        finally:
+            if 2 * misplaced > whole and not self.told:  # of single ones the depth may be wrong
+                self.told.append(f"in {misplaced} of {whole} views a part is not where its pixels are; check {CHECK}")
+                tell(f"{self.path}: {self.told[0]}")
 
     def _read(self, truth: ObjectTruth, seed: ViewSeed) -> View:
         stem = self.path / truth.name / f"{seed[2]:05d}"
@@ -137,7 +157,7 @@ def open_views(folder: str | Path, broken: Broken = "refuse", category: Category
     values = read_json(path / DATASET, CURE)
     found = values.get("format") if isinstance(values, dict) else None
     if found != FORMAT:
-        raise InputError(f"{path / 'dataset.json'}: format {found!r} is not {FORMAT}; render it again")
+        raise InputError(f"{path / 'dataset.json'}: format {found!r} is not {FORMAT}; give that, or render it again")
     record = decoded(DatasetRecord, values, path / DATASET, CURE)
     if not record.finished:
         raise InputError(f"{path}: rendering was interrupted; give the same render command again to finish it")
@@ -147,7 +167,7 @@ def open_views(folder: str | Path, broken: Broken = "refuse", category: Category
         if not _is_folder_name(name):
             raise InputError(f"{path / 'dataset.json'}: objects: {name!r} is no folder's name; {CURE}")
     made = {each.name: getattr(record, each.name) for each in fields(ViewFolder) if hasattr(record, each.name)}
-    return ViewFolder(path, **made, broken=broken, joints=None if category is None else len(category.joints))
+    return ViewFolder(path, **made, broken=broken, spec=category)
 
 
 def _is_folder_name(name: str) -> bool:
@@ -259,9 +279,9 @@ def draw_missing(
     help."""
     seeds = [view_seed(index, objects, seed) for index in range(views)]
     missing = [drawn for drawn in seeds if not file_of(drawn).exists()]
-    with tqdm(total=views, initial=views - len(missing), desc="views", disable=not progress) as bar:
-        for _ in _run(make, missing, processes):
-            bar.update()
+    drawn = _run(make, missing, processes)
+    for _ in batches.progress(drawn, views, done=views - len(missing), every=30.0) if progress else drawn:
+        pass
 
 
 _drawing: Callable[[ViewSeed], None]
@@ -309,10 +329,10 @@ def _truth_record(model: ObjectModel) -> dict[str, Any]:
     return {key: value.tolist() if isinstance(value, np.ndarray) else value for key, value in truth.items()}
 
 
-def _read_truth(folder: Path, joints: int | None) -> ObjectTruth:
+def _read_truth(folder: Path, spec: Category | None) -> ObjectTruth:
     file = folder / "object.json"
     record = read_record(ObjectRecord, file, CURE)
-    if joints not in (None, len(record.axes)):
+    if spec is not None and (joints := len(spec.joints)) != len(record.axes):
         raise InputError(
             f"{file}: axes: of {len(record.axes)} joints, where the category has {joints}; render it again"
         )

@@ -115,7 +115,10 @@ def check_truth(view: ViewRecord, truth: ObjectTruth, camera: Camera, depth: np.
     low, high = truth.limits.T
     if (np.maximum(low - view.states, view.states - high) > high - low + SLACK).any():
         raise ValueError("states: are far beyond the limits; give radians, or metres of what slides")
-    rows, columns = np.nonzero(shown & (depth > 0) & (depth < FARTHEST))
+    measured = shown & (depth > 0)
+    if measured.any() and (nearest := depth[measured].min()) > FARTHEST:
+        raise ValueError(f"depth: the object is {nearest:.0f} m away; depth_scale is in metres per stored integer")
+    rows, columns = np.nonzero(measured & (depth < FARTHEST))
     if len(rows):
         z = depth[rows, columns]
         seen = np.median([(columns - camera.cx) / camera.fx * z, (rows - camera.cy) / camera.fy * z, z], axis=1)

@@ -14,6 +14,7 @@ from torch.nn.functional import binary_cross_entropy_with_logits, softplus
 
 from omad.common.batches import batched, progress
 from omad.common.errors import InputError
+from omad.data.rendering.standard_views import true_pose
 from omad.estimation.confidence.model import Confidence, FittedTo, deviations, image_inputs, joint_inputs
 from omad.estimation.confidence.perceptron import FARTHEST, Perceptron, Row
 from omad.estimation.confidence.signals import IMAGE, JOINT, WITHOUT_FRONT, Signals
@@ -23,7 +24,6 @@ from omad.objects.category import Category
 from omad.objects.model import ObjectModel
 
 from ..calibration import area_under_roc, expected_calibration_error
-from ..evaluate import true_pose
 from ..metrics import pose_errors
 from .views import HEAPS, OTHERS, Example, examples
 

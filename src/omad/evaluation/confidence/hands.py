@@ -9,7 +9,7 @@ from scipy.special import expit
 
 from omad.common.batches import batched, progress
 from omad.data.rendering.depth_noise import ON
-from omad.data.rendering.standard_views import View, standard_view
+from omad.data.rendering.standard_views import View, standard_view, true_pose
 from omad.data.variation import nearly_at_rest
 from omad.estimation.estimator import Estimator
 from omad.estimation.known import Known
@@ -17,7 +17,6 @@ from omad.estimation.looks.either_hand import told
 from omad.objects.category import Category
 from omad.objects.model import ObjectModel
 
-from ..evaluate import true_pose
 from ..metrics import pose_errors
 from .views import APART, examples
 

@@ -9,7 +9,7 @@ import numpy as np
 from omad.common.batches import progress
 from omad.common.errors import InputError
 from omad.data.rendering.spoils.thinned import thinly_spoilt
-from omad.data.rendering.standard_views import View, standard_view
+from omad.data.rendering.standard_views import View, standard_view, true_pose
 from omad.estimation.confidence.model import RIGHT_ANGLE, RIGHT_SHARE
 from omad.estimation.estimate import Estimate
 from omad.estimation.estimator import Estimator
@@ -20,7 +20,6 @@ from omad.model.surfaces.surfaces import FittedSurface, Surfaces
 from omad.objects.category import Category
 from omad.objects.model import ObjectModel
 
-from ..evaluate import true_pose
 from ..metrics import pose_errors
 from ..shape import surface_distances
 from .views import APART

@@ -12,14 +12,13 @@ from matplotlib.ticker import FuncFormatter, MaxNLocator, PercentFormatter
 
 from omad.common.batches import batched, progress
 from omad.data.rendering.rasteriser import render
-from omad.data.rendering.standard_views import View, observe_all
+from omad.data.rendering.standard_views import View, observe_all, true_pose
 from omad.data.source import ViewSource
 from omad.geometry.rigid import carry_each
 from omad.objects.category import Category
 from omad.objects.model import ObjectModel
 from omad.sensing.observation import Observation
 
-from ..evaluate import true_pose
 from ..metrics import PoseErrors, missing_errors, pose_errors
 from ..paper.predictions import Answer
 from .style import METHOD_COLOURS, METHOD_NAMES, Sheet, styled

@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from omad.data.rendering.standard_views import true_pose
 from omad.estimation.estimate import Estimate
 from omad.geometry.camera import Camera
 from omad.geometry.rigid import carry_each
@@ -18,7 +19,7 @@ from omad.objects.model import ObjectModel
 from omad.output.picture import draw_points, part_colours
 from omad.sensing.observation import Observation
 
-from ..evaluate import ViewResult, true_pose
+from ..evaluate import ViewResult
 from ..metrics import PoseErrors
 from .scene import GREY, arrows, caption, crop_around, draw_arrows, draw_keypoints, open_panel, paint
 from .style import ESTIMATED, TRUE, Sheet, styled

@@ -21,13 +21,11 @@ from omad.common.arrays import Identity, load_arrays, save_arrays
 from omad.common.batches import progress
 from omad.common.errors import InputError
 from omad.common.user_cache import kept_at
-from omad.data.rendering.standard_views import View
+from omad.data.rendering.standard_views import View, true_pose
 from omad.data.source import ViewSource
 from omad.objects.category import Category
 from omad.objects.pose import ObjectPose
 from omad.sensing.observation import Observation
-
-from ..evaluate import true_pose
 
 
 class Answer(Protocol):

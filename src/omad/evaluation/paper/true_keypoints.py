@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
-from omad.data.rendering.standard_views import View
+from omad.data.rendering.standard_views import View, true_pose
 from omad.estimation.estimator import Estimator
 from omad.geometry.rigid import carry_each
 from omad.model.fitting.posed_object import posed_objects
@@ -16,7 +16,6 @@ from omad.model.priornet import PriorNet
 from omad.objects.model import SampledObject
 from omad.objects.pose import ObjectPose
 
-from ..evaluate import true_pose
 from .predictions import Predictions, this_machine
 
 SIGMA = 0.01

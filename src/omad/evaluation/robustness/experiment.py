@@ -13,7 +13,7 @@ from omad.data.procedural import GENERATORS, generate
 from omad.data.rendering.spoils.scenes import Scene, draw_scene, scene_of
 from omad.data.rendering.spoils.spoil import Spoil, Staging
 from omad.data.rendering.spoils.spoiling import spoilt, within_range
-from omad.data.rendering.standard_views import View, observe_all, standard_view, view_seed
+from omad.data.rendering.standard_views import View, observe_all, standard_view, true_pose, view_seed
 from omad.data.source import ViewSource
 from omad.estimation.checks import doubts, is_doubtful
 from omad.estimation.estimate import Estimate
@@ -24,7 +24,6 @@ from omad.output.picture import figure, reading, save
 from omad.sensing.observation import Observation
 
 from ..calibration import area_under_roc, expected_calibration_error
-from ..evaluate import true_pose
 from ..metrics import PoseErrors, missing_errors, pose_errors
 from .rows import CLEAN, Row
 
