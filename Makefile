@@ -6,8 +6,7 @@ BIN := $(VENV)/bin
 # compiling all takes half of an installation.
 export PYTHONDONTWRITEBYTECODE :=
 INSTALL := $(BIN)/pip install -q --no-compile -c constraints.txt
-# Up to four processes of one thread (each grows to 2.5 GB), one more than cores, as some wait at times; with whole
-# files, whose tests share what they load.
+# In processes of one thread (tests/conftest.py says how many), with whole files, whose tests share what they load.
 SIDE_BY_SIDE := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
 
 .PHONY: demo test test-quick check docs
