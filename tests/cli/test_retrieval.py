@@ -137,7 +137,9 @@ def test_a_catalogue_of_ones_own_images(capsys):
     assert found["ranking"][0]["object"] == "lone"
     shutil.rmtree("images/mine")
     Path("images/lone.npy").unlink()
-    assert "images: " in refused(capsys, "index", "build", *OF_LAPTOP, "--output", "new.npz", "--source", "images", *K)
+    line = refused(capsys, "index", "build", *OF_LAPTOP, "--output", "new.npz", "--source", "images", *K)
+    assert "images: none of its 1 inputs" in line
+    assert "broken.png: " in line
 
 
 @pytest.mark.slow
@@ -259,6 +261,9 @@ def test_table3_of_all_methods_and_again_from_the_cache(capsys, monkeypatch):
     assert answer(capsys, *command) == found
     assert run(command) == 0
     assert "across states" in capsys.readouterr().out
+    command[command.index("--gallery") + 1] = "4"
+    assert "has 3 objects" in refused(capsys, *command)
+    command[command.index("--gallery") + 1] = "2"
     assert "cache" in refused(capsys, *command, "--seed", "1")
     save(SiameseNet(LAPTOP, TINY), Path("weights/laptop/siamese"), {})
     assert "cache" in refused(capsys, *command)

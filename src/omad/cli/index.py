@@ -93,7 +93,7 @@ class IndexBuild(CategoryCommand):
         index = omad.ShapeIndex(space, self.backend)
         found = self._catalogued(estimator)
         if not found.entries:
-            raise InputError(f"{self.source}: none of its {len(found.refused)} inputs can be used; see omad estimate")
+            raise self._nothing_usable(found.refused)
         index.add(found.signatures, found.entries)
         index.save(self.output)
         names = {entry.name for entry in index.entries}
@@ -109,10 +109,14 @@ class IndexBuild(CategoryCommand):
         names = [file.relative_to(self.source).as_posix() for file in files]
         index.add(self._portions(estimator, index.taken(source), files, refused, doubtful), source, names)
         if not len(index):
-            raise InputError(f"{self.source}: none of its {len(refused)} inputs can be used; see omad estimate")
+            raise self._nothing_usable(refused)
         record = {"index": str(self.output), "category": space.category, "metric": self.metric}
         record |= {"backend": self.backend, "entries": len(index), "refused": refused, "doubtful": doubtful}
         return Answer(record)
+
+    def _nothing_usable(self, refused: list[dict[str, str]]) -> InputError:
+        first = f": {refused[0]['reason']}" if refused else ""
+        return InputError(f"{self.source}: none of its {len(refused)} inputs can be used{first}")
 
     def _portions(
         self,

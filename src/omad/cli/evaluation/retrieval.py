@@ -11,6 +11,7 @@ from typing import Any
 from tyro.conf import OmitArgPrefixes
 
 import omad
+from omad.common.errors import InputError
 from omad.common.files import make_folder
 from omad.common.lazy import lazy_imports
 from omad.common.user_cache import kept_at
@@ -84,6 +85,8 @@ class EvalRetrieval:
         count = self.gallery or (printed.objects if printed else published.USUAL_OBJECTS)
         settings = experiment.DrawSettings(self.draws, self.queries, self.data.seed)
         openness, everything = experiment.openness(pool.states, category), len(set(pool.objects.tolist()))
+        if self.gallery and self.gallery > everything:
+            raise InputError(f"{self.data.source}: has {everything} objects of {category.name}; give --gallery no more")
         galleries = [experiment.draw_galleries(pool.objects, size, settings) for size in (count, everything)]
         galleries.append(experiment.draw_across_states(pool.objects, openness, count, settings))
         answer = {}
