@@ -185,7 +185,7 @@ def test_a_screw_turns_and_advances(written):
 def test_every_rest_rule_can_be_chosen(written):
     for kind, high, rules in (("revolute", 90, get_args(RestRule)), ("prismatic", 0.3, SLIDING_REST_RULES)):
         for rule in rules:
-            limits = f'limits = [0, {high}]\nrest = "{rule}"'
+            limits = f'limits = [0, {high}]\nreach = "+x"\nrest = "{rule}"'
             text = SMALL.replace('"revolute"', f'"{kind}"').replace("limits = [0, 90]", limits)
             assert read_spec(written(text)).joints[0].rest == rule
 

@@ -76,6 +76,17 @@ def across(axis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return first, np.cross(axis, first)
 
 
+def split(vector: np.ndarray, axis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What of a vector (3,) is along a unit ``axis`` (3,), and what is across it."""
+    along = axis * (axis @ vector)
+    return along, vector - along
+
+
+def unit(vector: np.ndarray) -> np.ndarray:
+    """Of length 1."""
+    return vector / np.linalg.norm(vector)
+
+
 def box(points: np.ndarray) -> np.ndarray:
     """(2, D) low and high corner of the axis-aligned box of points (N, D)."""
     # NumPy reduces few long rows fifty times as fast as many short ones

@@ -13,9 +13,10 @@ from omad.common.limits import check_limit
 from omad.geometry.joint_kinds import JointType, Motion, motion_of
 from omad.geometry.kinematics import KinematicTree
 
-RestRule = Literal["closed", "perpendicular", "tips together", "zero"]
+RestRule = Literal["closed", "perpendicular", "tips together", "reaching", "zero"]
 """How geometry tells the rest state: the whole's box is smallest, the child is a quarter turn from lying flat on its
-parent, two long parts that cross at the joint point the same way, or it is the source's own zero."""
+parent, two long parts that cross at the joint point the same way, the child reaches just where ``reach`` says, or it is
+the source's own zero."""
 SLIDING_REST_RULES: tuple[RestRule, ...] = ("closed", "zero")
 """Those that make sense for a joint that does not turn."""
 LARGEST = 1e4
@@ -96,6 +97,8 @@ class JointSpec:
         rules = get_args(RestRule) if turns else SLIDING_REST_RULES
         if self.rest not in rules:
             raise ValueError(f"rest: is {self.rest!r}; give {' or '.join(rules)}")
+        if self.rest == "reaching" and self.reach is None:
+            raise ValueError("rest: is 'reaching', of a part without a reach; give that, too")
 
     @property
     def motion(self) -> Motion:

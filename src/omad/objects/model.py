@@ -11,7 +11,7 @@ from omad.common.arrays import numbers
 from omad.geometry.joint_kinds import Motion
 from omad.geometry.kinematics import KinematicTree
 from omad.geometry.mesh import Mesh, closed, sample_triangles, triangle_normals
-from omad.geometry.rigid import box
+from omad.geometry.rigid import box, carry_each, rotate_each
 from omad.geometry.transforms import MIRROR_X
 
 from .category import Category
@@ -144,6 +144,17 @@ class ObjectModel:
     def closed(self) -> bool:
         """Whether every part is a union of closed, outward-oriented surfaces."""
         return all(map(closed, self.parts))
+
+    def with_zero_at(self, states: np.ndarray) -> Self:
+        """The same object, its joints' zero moved to ``states`` (J,), radians or metres."""
+        parents = self.part_transforms(states)[list(self.tree.parents)]
+        return replace(
+            self,
+            parts=self.posed(states),
+            axes=rotate_each(parents, self.axes),
+            pivots=carry_each(parents, self.pivots),
+            limits=self.limits - states[:, None],
+        )
 
     def centred(self) -> Self:
         """The same object with its rest box centred on the origin."""
