@@ -61,15 +61,17 @@ def test_what_is_no_array_is_said_in_one_line(more, tmp_path, monkeypatch, capsy
 
 
 @needs
-def test_zeros_and_what_is_not_finite_are_no_points_and_millimetres_are_refused(monkeypatch):
+def test_what_means_no_measurement_is_no_point_and_millimetres_and_other_axes_are_refused(monkeypatch):
     program = object.__new__(program_file.Program)
     program.numbers = {"least_points": 50, "either_hand": False}
     monkeypatch.setattr(program_file.Program, "_answer", lambda self, points: points)
     cloud = np.ones((60, 3), np.float32)
     nothing = np.zeros((30, 3))
-    nothing[:5, 2], nothing[5] = np.nan, np.inf
+    nothing[:5, 2], nothing[5], nothing[6] = np.nan, np.inf, (3e4, 1e4, 1e5)
     np.testing.assert_array_equal(program(np.r_[nothing, cloud]), cloud)
-    for points, said in ((cloud * 1000, "looks like millimetres"), (cloud[:49], "too few")):
+    few = np.r_[cloud[:49], [nothing[6]]]
+    wrong = (cloud * 1000, "looks like millimetres"), (cloud * 1e5, "looks like"), (few, "too few"), (-cloud, "behind")
+    for points, said in (*wrong, (cloud[:0], "too few")):
         with pytest.raises(ValueError, match=said):
             program(points)
 

@@ -389,6 +389,16 @@ def test_a_model_that_lies_among_upright_ones_is_named():
         assert "with +z" in summary.notes[0].reason
 
 
+def test_a_model_that_lies_alone_is_named():
+    """The same with y up, as nothing but its own file tells."""
+    upright = microwave("drop-down")
+    over = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    parts = tuple(part.warped(lambda vertices: vertices @ over.T) for part in upright.parts)
+    write_urdf(replace(upright, parts=parts, axes=upright.axes @ over.T, pivots=upright.pivots @ over.T), Path("lone"))
+    [note] = import_folder(Path("lone"), MICROWAVE, Path("ours")).notes
+    assert "x up, most files have z or y up" in note.reason
+
+
 def test_of_a_mirror_image_the_field_that_takes_it_is_named():
     write_microwaves(Path("ovens"), 3)
     write_urdf(seen_from_elsewhere(microwave("odd").mirrored(), np.zeros(1)), Path("ovens/odd/odd.urdf"))

@@ -95,6 +95,8 @@ def test_intervals_hold_powers_of_normal_numbers(estimate: Estimate, tail: float
     for level in (0.5, 0.68, 0.9, 0.99):
         low, high = joint.interval(level)
         assert ((low <= truth) & (truth <= high)).mean() == pytest.approx(level, abs=0.005)
+    low, high = joint.interval(np.nextafter(1.0, 0.0))  # is still one
+    assert joint.interval(0.999)[1] < high < np.inf
 
 
 def test_confidence_says_how_wide_intervals_are_in_metres_and_radians(plain: omad.Estimator) -> None:

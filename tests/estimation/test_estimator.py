@@ -17,6 +17,7 @@ from helpers.categories import CATEGORIES
 from omad.data.procedural import generate
 from omad.data.rendering.standard_views import View, standard_view, true_pose
 from omad.estimation.estimator import Estimator, EstimatorConfig
+from omad.estimation.known import Near
 from omad.evaluation.baselines.adam import adam_refinement
 from omad.geometry.joint_kinds import REVOLUTE
 
@@ -203,6 +204,17 @@ def test_gravity_tells_how_a_camera_is_rolled(estimator, degrees):
         rolled = estimator(omad.Observation.from_points(observation.points @ roll.T), omad.Known(gravity=roll @ down))
         assert np.allclose(rolled.joint_states, level.joint_states, atol=0.05)
         assert np.allclose(rolled.T_camera_base[:3, :3], roll @ level.T_camera_base[:3, :3], atol=0.05)
+
+
+def test_a_moved_answer_says_how_far_it_is_from_what_was_seen():
+    estimator = Estimator.from_pretrained("laptop", device="cpu")
+    estimate = estimator(observe(some_views(estimator, 1)[0]))
+    covariance = np.eye(len(estimate.beta))
+    ajar = Near(estimate.T_camera_base, estimate.joint_states + 0.3, estimate.beta, covariance)
+    moved = estimator.moved(estimate, ajar, estimate.covariance)
+    apart = np.linalg.norm(moved.keypoints - moved.observed_keypoints, axis=1)
+    assert moved.residual == pytest.approx(np.sqrt(np.square(apart).mean()))
+    assert moved.residual > 2 * estimate.residual
 
 
 def test_what_is_known_is_kept_and_helps(estimator):

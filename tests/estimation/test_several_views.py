@@ -104,6 +104,8 @@ def test_one_answer_in_every_cameras_frame(estimator, views):
         R = (np.linalg.inv(T_world) @ T[0])[:3, :3]
         for block in (slice(3), slice(3, 6)):
             assert np.allclose(estimate.covariance[block, block], R @ first.covariance[block, block] @ R.T, atol=1e-6)
+            wide, first_wide = (np.linalg.norm(each.base_std[block]) for each in (estimate, first))
+            assert wide == pytest.approx(first_wide, rel=1e-4)  # whatever the camera's axes
         assert np.allclose(estimate.covariance[6:, 6:], first.covariance[6:, 6:])
 
 

@@ -39,6 +39,9 @@ def test_all_of_the_way_is_where_the_surface_lies(estimate):
     for joint, axis in zip(found.joints, estimate.surface.placed.axes, strict=True):
         assert np.allclose(joint.axis, axis)
     assert not np.allclose(found.joints[0].state, estimate.joints[0].state, atol=1e-4)
+    apart = np.linalg.norm(found.keypoints - found.observed_keypoints, axis=1)
+    assert found.residual == pytest.approx(np.sqrt(np.square(apart).mean()))
+    assert found.residual > estimate.residual + 1e-5  # which is the least there is
     assert found.to_surface() is found
 
 

@@ -220,13 +220,14 @@ class Estimate(PoseEstimate):
             np.array([[joint.state_std for joint in self.joints]]) * shrinkage[6 : 6 + joints],
             np.array([[joint.tail for joint in self.joints]]),
         )
-        return replace(
-            self,
-            **vars(found),
-            covariance=shrinkage[:, None] * self.covariance * shrinkage,
-            base_std=shrinkage[:6] * self.base_std,
-            seconds=self.seconds | {"surface": time.perf_counter() - began},
-        )
+        covariance = shrinkage[:, None] * self.covariance * shrinkage
+        there = self.placed_as(found, covariance, shrinkage[:6] * self.base_std)
+        return replace(there, seconds=self.seconds | {"surface": time.perf_counter() - began})
+
+    def placed_as(self, found: PoseEstimate, covariance: np.ndarray, base_std: np.ndarray) -> Self:
+        """The answer with another shape, pose and joint states, of ``covariance`` (P, P) and ``base_std`` (6,)."""
+        residual = float(np.sqrt(np.square(found.keypoints - self.observed_keypoints).sum(1).mean()))
+        return replace(self, **vars(found), covariance=covariance, base_std=base_std, residual=residual)
 
     @cached_property
     def hulls(self) -> tuple[Mesh, ...]:

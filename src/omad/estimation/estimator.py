@@ -12,7 +12,7 @@ their own mirror images, and averages what it says, by confidence.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import accumulate
 from numbers import Integral
 from pathlib import Path
@@ -207,7 +207,7 @@ class Estimator:
         [moved] = PoseEstimate.of(self.category, posed, std, tail)
         moved = moved.mirrored(self.category.turning) if estimate.of_other_hand else moved
         variance = covariance.diagonal()[:6] / np.maximum(estimate.covariance.diagonal()[:6], 1e-30)
-        return replace(estimate, **vars(moved), covariance=covariance, base_std=estimate.base_std * np.sqrt(variance))
+        return estimate.placed_as(moved, covariance, estimate.base_std * np.sqrt(variance))
 
     def _together(self, views: Observation | Sequence[Observation], known: Known, poses: Any) -> list[Estimate]:
         if isinstance(views, Observation) or not views:

@@ -156,6 +156,7 @@ def one_answer(estimates: Sequence[Estimate], alone: Sequence[Estimate], shared:
     spreads = [[(joint.state_std, joint.tail) for joint in estimate.joints] for estimate in agree]
     std, tail = np.median(spreads, axis=0).T
     std *= _shrinkage(agree, shared)
+    size = np.median([_base_size(estimate) for estimate in agree], axis=0)
     told = [estimate.probability for estimate in agree if estimate.probability is not None]
     share = len(agree) / len(estimates) if any(against) else 1.0
     made = []
@@ -164,8 +165,14 @@ def one_answer(estimates: Sequence[Estimate], alone: Sequence[Estimate], shared:
         probability = believed * float(np.quantile(told, 2 / 3)) if told else None
         sure = zip(estimate.joints, std.tolist(), tail.tolist(), strict=True)
         joints = tuple(replace(joint, state_std=own, tail=power) for joint, own, power in sure)
-        made.append(replace(estimate, warnings=warnings, joints=joints, probability=probability))
+        base_std = estimate.base_std * np.repeat(size / _base_size(estimate), 3)
+        made.append(replace(estimate, warnings=warnings, joints=joints, base_std=base_std, probability=probability))
     return made
+
+
+def _base_size(estimate: Estimate) -> np.ndarray:
+    """(2,) how large its base's deviations of rotation and translation are, whatever the camera's axes."""
+    return np.linalg.norm(estimate.base_std.reshape(2, 3), axis=1)
 
 
 def _shrinkage(estimates: Sequence[Estimate], shared: float) -> float:

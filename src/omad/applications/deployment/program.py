@@ -30,6 +30,8 @@ from omad.model.fronts.image import front_image
 
 FAR = 100.0
 """A larger median distance is one in millimetres."""
+FARTHEST = 1e4
+"""Nothing is measured farther away: such numbers mean no measurement."""
 MIRROR = np.array([-1.0, 1.0, 1.0])
 HALF_TURNS = [np.diag([*signs, 1.0]) for signs in ((1, -1, -1), (-1, 1, -1), (-1, -1, 1))]
 
@@ -126,16 +128,20 @@ class Program:
         self._limits = np.array(self.numbers["limits"]).reshape(-1, 2)
 
     def __call__(self, points: np.ndarray) -> Answer:
-        """Of points (N, 3); rows that are not finite or all zero are no measurement. Raises ValueError for another
-        shape, too few points, and millimetres."""
+        """Of points (N, 3); rows that are not finite, all zero or beyond ``FARTHEST`` are no measurement. Raises
+        ValueError for another shape, too few points, millimetres, and for what lies behind the camera."""
         points = np.asarray(points, np.float32)
         if points.ndim != 2 or points.shape[1] != 3:
             raise ValueError("points: give numbers of shape (N, 3), metres")
         points = points[np.isfinite(points).all(1) & points.any(1)]
+        away = np.abs(points).max(1)
+        if len(away) and (median := float(np.median(away))) > FAR:
+            raise ValueError(f"points: median distance {median:.0f} looks like millimetres; multiply by 0.001")
+        points = points[away < FARTHEST]
         if len(points) < self.numbers["least_points"]:
             raise ValueError(f"points: {len(points)} are too few, at least {self.numbers['least_points']} are needed")
-        if (median := float(np.median(np.abs(points).max(1)))) > FAR:
-            raise ValueError(f"points: median distance {median:.0f} looks like millimetres; multiply by 0.001")
+        if np.count_nonzero(points[:, 2] <= 0) > len(points) / 2:
+            raise ValueError("points: most of them lie behind the camera; turn z forward")
         plain = self._answer(points)
         if not self.numbers["either_hand"]:
             return plain

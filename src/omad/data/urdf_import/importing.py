@@ -223,18 +223,18 @@ class _Kept:
 
 
 def _lying(up: dict[str, str], either_hand: bool) -> list[Refusal]:
-    """Models that were turned upright from another side than most. Where the spec knows of one hand alone, they may be
-    of the other one."""
+    """Models that were turned upright from another side than most, or where most do not agree, as one alone, with their
+    file's x up. Where the spec knows of one hand alone, they may be of the other one."""
     usual, count = Counter(up.values()).most_common(1)[0] if up else ("", 0)
-    if count < 2 or count <= len(up) / 2:
-        return []
+    agreed = count > max(1, len(up) / 2)
+    others = f"the others with {usual}" if agreed else "most files have z or y up"
     cure = "if it lies on its side, leave it out, or it belongs to another category"
     if not either_hand:
         cure += "; if it is the mirror image of the others, say either_hand = true in the spec"
     return [
-        Refusal(name, f"stands with its file's {axis} up, the others with {usual}: look at the picture; {cure}")
+        Refusal(name, f"stands with its file's {axis} up, {others}: look at the picture; {cure}")
         for name, axis in up.items()
-        if axis != usual
+        if (axis != usual if agreed else "x" in axis)
     ]
 
 

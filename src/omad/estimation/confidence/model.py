@@ -34,7 +34,7 @@ CURE = "run omad train confidence, or delete the file"
 
 def deviations(level: float) -> float:
     """Standard deviations to both sides of its mean that hold a share ``level`` of a normal distribution."""
-    return NormalDist().inv_cdf((1 + level) / 2)
+    return -NormalDist().inv_cdf((1 - level) / 2)
 
 
 MEDIAN, UPPER = deviations(0.5), deviations(0.9)
