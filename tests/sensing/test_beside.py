@@ -11,10 +11,12 @@ from PIL import Image
 
 from helpers.command_line import LAPTOP, K, answer, laptop_view, refused, save_png
 from omad.cli.main import run
+from omad.common.errors import InputError
 from omad.estimation.estimator import Estimator
 from omad.estimation.known import Known
 from omad.objects.category_file import get_category
 from omad.sensing.beside import Beside, is_companion
+from omad.sensing.camera_files import scale_of
 from omad.sensing.cutting.angles import angle_doubts
 from omad.sensing.input_options import InputOptions
 from omad.sensing.observation import Observation
@@ -102,6 +104,25 @@ def test_a_scale_in_the_file_of_the_intrinsics_is_that_of_the_images():
     seen = InputReader.of(named, [])(Path("image.png"))
     assert seen.points[:, 2] == pytest.approx(1.0)
     assert "depth_scale of --intrinsics is 0.00025, but camera.json tells 0.001" in seen.warnings[-1]
+
+
+def test_cameras_of_all_images_of_a_bop_scene():
+    cameras = {str(n): {"cam_K": [60 + n, 0, 31.5, 0, 60 + n, 23.5, 0, 0, 1], "depth_scale": 0.1} for n in (0, 7)}
+    Path("depth").mkdir()
+    Path("scene_camera.json").write_text(json.dumps(cameras))
+    for number in (0, 7):
+        image = Path(f"depth/{number:06d}.png")
+        Image.fromarray(np.full((48, 64), 10000, dtype=np.uint16)).save(image)
+        seen = InputReader.of(InputOptions(), [image])(image)
+        assert seen.points[:, 2] == pytest.approx(1.0)  # 0.1 millimetres a number
+        assert seen.camera is not None
+        assert seen.camera.fx == 60 + number
+    with pytest.raises(InputError, match="camera for each of 2 images; leave --intrinsics out"):
+        InputReader.of(InputOptions(intrinsics="scene_camera.json"), [image])
+    Path("same.json").write_text(json.dumps({"0": cameras["7"], "7": cameras["7"]}))
+    assert InputReader.of(InputOptions(intrinsics="same.json"), [image])(image).points[:, 2] == pytest.approx(1.0)
+    for stored, metres in ((1.0, 0.001), (0.1, 0.0001), (0.001, 0.001), (1000, 0.001), (0.00025, 0.00025)):
+        assert scale_of({"depth_scale": stored}, "a.json") == pytest.approx(metres)
 
 
 def test_a_mask_in_the_file_of_the_depth_image_counts():

@@ -14,7 +14,7 @@ from omad.common.errors import InputError
 from omad.common.files import write_atomic
 from omad.geometry.lens import Distortion
 from omad.sensing.camera_files import read_camera, read_intrinsics
-from omad.sensing.depth_files import in_metres, read_cloud, read_color, read_depth, read_mask
+from omad.sensing.depth_files import in_metres, is_cloud, read_cloud, read_color, read_depth, read_mask
 from omad.sensing.observation import Observation
 
 DEPTH_MM = np.arange(12, dtype=np.uint16).reshape(3, 4) * 100
@@ -76,6 +76,12 @@ def test_depth_errors_say_what_to_do(tmp_path: Path) -> None:
         with pytest.raises(InputError) as error:
             read_depth(tmp_path / "eight.png")
         assert_one_line(error, "eight.png", "16-bit")
+    np.savez(tmp_path / "named.npz", rgb=np.zeros((4, 12, 3), np.uint8), depth_image=np.ones((4, 12)))
+    np.savez(tmp_path / "cloud.npz", rgb=np.zeros((60, 3), np.uint8), xyz=np.ones((60, 3)))
+    assert [is_cloud(tmp_path / name) for name in ("named.npz", "cloud.npz")] == [False, True]
+    with pytest.raises(InputError) as error:
+        read_depth(tmp_path / "named.npz")
+    assert_one_line(error, "rgb, depth_image", "'depth'")
     for name in ("broken.png", "broken.npy", "broken.npz"):
         (tmp_path / name).write_bytes(b"not what it says")
         with pytest.raises(InputError) as error:
@@ -207,6 +213,10 @@ def test_intrinsics_in_every_form(tmp_path: Path) -> None:
         "realsense.json": json.dumps(
             {"fx": 600.0, "fy": 601, "ppx": 319.5, "ppy": 239.5, "model": "none"}, indent="\t"
         ),
+        "rows.json": json.dumps({"intrinsic_matrix": K.tolist()}),
+        "scene_camera.json": json.dumps({number: {"cam_K": flat, "depth_scale": 0.1} for number in "01"}),
+        "projection.txt": "\n".join(" ".join(map(str, row)) for row in np.c_[K, np.zeros(3)]),
+        "homogeneous.txt": " ".join(map(str, np.block([[K, np.zeros((3, 1))], [np.eye(4)[3:]]]).ravel())),
         "plain.json": json.dumps({"fx": 600.0, "fy": 601, "cx": 319.5, "cy": 239.5}),
         "nested.json": json.dumps({"K": K.tolist()}),
         "ros1.yaml": f"height: 480\nwidth: 640\nD: [0, 0, 0, 0, 0]\nK: {flat}\nR: [1, 0, 0]\n",
@@ -249,6 +259,7 @@ def test_a_calibration_of_opencv(tmp_path: Path) -> None:
         ("e.txt", "hello", "ppx"),
         ("f.txt", "0 600 320 240", "pinhole"),
         ("g.txt", " ".join(map(str, K.T.ravel())), "row by row"),
+        ("moved.txt", "600 0 320 30 0 600 240 0 0 0 1 0", "12 numbers"),
         ("skew.txt", "600 12 320 0 600 240 0 0 1", "skewed by 12 pixels"),
         ("turned.txt", "600 0 320 -9 600 240 0 0 1", "rectify"),
         ("h.yaml", "", "ppx"),

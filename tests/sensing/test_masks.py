@@ -15,7 +15,7 @@ from PIL import Image
 from omad.common.errors import InputError
 from omad.geometry.camera import Camera
 from omad.sensing.depth_files import parse_mask, read_mask
-from omad.sensing.masks import as_mask
+from omad.sensing.masks import as_mask, check_size
 from omad.sensing.observation import Observation
 
 MASK = np.zeros((6, 9), dtype=bool)
@@ -233,6 +233,47 @@ def test_a_list_of_annotations_is_as_a_file_of_them(tmp_path: Path) -> None:
     for wrong in ([], [5], [ring, 5], [{"size": [40, 60]}]):
         with pytest.raises(InputError, match="holds no mask; give one COCO segmentation"):
             parse_mask(json.dumps(wrong).encode(), "mask")
+
+
+def test_annotations_without_ids_are_told_by_their_place() -> None:
+    runs = {"size": [40, 60], "counts": RING_COUNTS}
+    listed = [{"segmentation": {"size": [40, 60], "counts": [2400]}, "area": 0}, {"segmentation": runs, "area": 9}]
+    assert np.array_equal(as_mask(listed, 1), RING)
+    with pytest.raises(InputError, match=r"2 with the ids 0, 1; give mask_id \(--mask-id\)"):
+        as_mask(listed)
+
+
+def test_outlines_of_labelme(tmp_path: Path) -> None:
+    def outlined(*shapes: dict) -> Path:
+        table = {"version": "5.4.1", "shapes": shapes, "imageData": None, "imageHeight": 40, "imageWidth": 60}
+        (tmp_path / "outlined.json").write_text(json.dumps(table))
+        return tmp_path / "outlined.json"
+
+    def square(left: int, **more: object) -> dict:
+        corners = [[left, 10], [left + 8, 10], [left + 8, 20], [left, 20]]
+        return {"label": "laptop", "points": corners, "group_id": None, "shape_type": "polygon", **more}
+
+    expected = np.zeros((2, 40, 60), dtype=bool)
+    expected[0, 10:20, 5:13] = expected[1, 10:20, 30:38] = True
+    assert np.array_equal(read_mask(outlined(square(5))), expected[0])
+    assert np.array_equal(read_mask(outlined(square(5), square(30)), 1), expected[1])
+    assert np.array_equal(read_mask(outlined(square(5, group_id=1), square(30, group_id=1))), expected.any(0))
+    with pytest.raises(InputError, match=r"2 with the ids 0, 1; give mask_id"):
+        read_mask(outlined(square(5), square(30)))
+    with pytest.raises(InputError, match="kind 'circle'; draw polygons"):
+        read_mask(outlined(square(5, shape_type="circle")))
+    for wrong in (5, [5], None):
+        with pytest.raises(InputError, match="as LabelMe writes them"):
+            as_mask({"shapes": wrong})
+
+
+@pytest.mark.parametrize(
+    ("shape", "cure"),
+    [((240, 320), "resize it"), ((640, 480), "turn it by 90 degrees"), ((720, 1280), "--color-intrinsics")],
+)
+def test_a_mask_of_another_size_is_told_what_it_may_be(shape: tuple[int, int], cure: str) -> None:
+    with pytest.raises(InputError, match=cure):
+        check_size(np.ones(shape, bool), (480, 640))
 
 
 @pytest.mark.parametrize("quality", [30, 75, 95])

@@ -118,6 +118,21 @@ def test_points_are_those_of_the_formula_to_the_last_bit(dtype: str, masked: boo
 # bad depth, bad intrinsics, bad crops
 
 
+@pytest.mark.parametrize("written", [8.0, 65.535])
+def test_numbers_far_beyond_a_masked_object_are_left_out(written: float) -> None:
+    depth = np.where(np.arange(80) % 20, 0.8, written) * np.ones((60, 1))
+    mask = np.zeros((60, 80), bool)
+    mask[20:40, 20:60] = True
+    seen = Observation.from_depth(depth, (60, 60, 39.5, 29.5), mask)
+    assert np.allclose(seen.points[:, 2], 0.8)
+    assert seen.warnings[0].startswith(f"5% of the mask's pixels are {written:.3g} m away")
+    wall = Observation.from_depth(np.where(depth == written, 2.4, depth), (60, 60, 39.5, 29.5), mask)
+    assert len(wall.points) == mask.sum()  # which may be the object's
+    few = np.where(depth == written, 0.8, depth)
+    few[30, 30] = written
+    assert Observation.from_depth(few, (60, 60, 39.5, 29.5), mask).warnings == ()
+
+
 def test_an_axis_of_one_channel_or_one_image_may_be_there() -> None:
     for depth in (bump()[..., None], torch.tensor(bump())[None]):
         np.testing.assert_array_equal(Observation.from_depth(depth, K).points, Observation.from_depth(bump(), K).points)
@@ -135,6 +150,11 @@ def test_depth_without_measurements() -> None:
     few = np.zeros((48, 64))
     few[0, :49] = 1
     refused("49", "50", depth_m=few)
+
+
+def test_depth_along_minus_z_is_named() -> None:
+    with pytest.raises(InputError, match="z points forward"):
+        Observation.from_depth(np.full((60, 80), -0.8), (60, 60, 39.5, 29.5))
 
 
 def test_millimetres_are_named() -> None:

@@ -23,7 +23,7 @@ from omad.data.procedural import generate
 from omad.data.rendering.depth_noise import LEVELS, add_noise
 from omad.data.rendering.standard_views import View, standard_view
 from omad.estimation.categories.ranking import rank, suspected
-from omad.estimation.checks import doubts
+from omad.estimation.checks import depth_doubts, doubts
 from omad.estimation.estimate import Estimate
 from omad.estimation.estimator import Estimator
 from omad.estimation.world import gravity_in_camera, in_world
@@ -33,6 +33,7 @@ from omad.geometry.rigid import carry
 from omad.objects.category_file import get_category
 from omad.sensing.camera_files import CameraFile, read_transform
 from omad.sensing.colour_mask import ColourCamera
+from omad.sensing.cutting.distances import hold_distances
 from omad.sensing.observation import Observation
 
 
@@ -218,6 +219,34 @@ def test_an_uncut_frame_is_named_with_its_cure():
     assert "frame" in found
 
 
+@pytest.mark.parametrize("noisy", [False, True])
+def test_distances_in_place_of_depth_are_told(noisy):
+    depth, mask = on_a_table()
+    depth = add_noise(depth, LEVELS["on"], STANDARD_CAMERA, np.random.default_rng(0)) if noisy else depth
+    assert not hold_distances(cloud_of(depth))
+    rows, columns = np.indices(depth.shape)
+    distances = depth * np.sqrt(1 + ((columns - 319.5) / 600) ** 2 + ((rows - 239.5) / 600) ** 2)
+    assert hold_distances(cloud_of(distances))
+    assert not hold_distances(cloud_of(np.where(mask, distances, 0)))  # without a plane nothing tells it
+    for seen, told in ((depth, []), (distances, ["depth"])):
+        view = Observation.from_depth(seen, K, mask)
+        assert [check.name for check in depth_doubts(view)] == told
+        assert list(depth_doubts(Observation.from_depth(seen, K))) == []  # all of it is the object
+
+
+def test_an_answer_from_distances_is_doubtful(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    depth, mask = on_a_table()
+    rows, columns = np.indices(depth.shape)
+    save_png("depth.png", depth * np.sqrt(1 + ((columns - 319.5) / 600) ** 2 + ((rows - 239.5) / 600) ** 2))
+    Image.fromarray(mask).save("mask.png")
+    found = answer(capsys, "estimate", "depth.png", *LAPTOP, *K_OPTION, "--mask", "mask.png")
+    assert found["doubtful"]
+    assert "distance from the camera's centre" in next(c for c in found["checks"] if c["name"] == "depth")["what"]
+    found = answer(capsys, "detect", "depth.png", *K_OPTION, "--categories", "laptop")
+    assert any("distance from the camera's centre" in warning for warning in found["warnings"])
+
+
 def test_few_points_a_bad_fit_and_an_unsure_network_are_named():
     estimate = laptop_estimate()
     few = Observation.from_points(laptop_observation().points[::200])
@@ -339,5 +368,5 @@ def test_the_pages_python_runs(frame, capsys):
 
 def test_the_page_knows_every_check():
     told = PAGE.read_text()
-    for name in ("size", "points", "frame", "convergence", "residual", "network", "hand", "category"):
+    for name in ("size", "depth", "points", "frame", "convergence", "residual", "network", "hand", "category"):
         assert f"`{name}`" in told

@@ -10,7 +10,16 @@ import numpy as np
 from omad.common.errors import InputError
 from omad.estimation.categories.late import AnyEstimator
 from omad.estimation.categories.ranking import Ranking, rank, suspected
-from omad.estimation.checks import Check, believed, camera_doubts, doubts, gravity_doubts, is_doubtful, no_surer
+from omad.estimation.checks import (
+    Check,
+    believed,
+    camera_doubts,
+    depth_doubts,
+    doubts,
+    gravity_doubts,
+    is_doubtful,
+    no_surer,
+)
 from omad.estimation.estimate import Estimate
 from omad.estimation.estimator import Estimator
 from omad.estimation.known import NOTHING_KNOWN, Known
@@ -98,10 +107,11 @@ class Solver:
     def _told_by_others(
         self, observation: Observation, estimate: Estimate, found: Sequence[Check], estimator: AnyEstimator
     ) -> list[Check]:
-        """What other estimates of its category say against one of which so much was ``found``: without gravity, and
-        with other focal lengths."""
+        """What speaks against one of which so much was ``found``: what other estimates of its category say, without
+        gravity and with other focal lengths, and what is seen beside the object."""
         known = self.known.of(estimator.category)
         checks = gravity_doubts(observation, estimate, known, estimator)
+        checks += depth_doubts(observation)
         if all(check.name == "residual" for check in (*found, *checks)):  # which a wrong focal length may explain, too
             checks += camera_doubts(observation, estimate, lambda views: estimator.first_answers(views, known))
         return checks

@@ -9,6 +9,7 @@ import numpy as np
 from omad.common.errors import InputError
 from omad.geometry.rigid import box
 from omad.objects.category import Category
+from omad.sensing.cutting.distances import CURE, TOLD, hold_distances
 from omad.sensing.observation import Observation
 
 from .confidence.signals import cut_off
@@ -50,6 +51,8 @@ TILTED, TELLING = 10.0, 0.8
 probability from which on an answer is believed in that."""
 SURE_OF_HAND = 0.75
 """Of views whose hand is told less surely, one in three is taken for its mirror image; of all others one in fifty."""
+SURROUNDED = 0.1
+"""Share of the image from which on what is seen beside the object tells of the camera."""
 CUT_OFF = 0.1
 """Pixels at one border of the image from which on the object runs out of it, as a share of its width in pixels."""
 
@@ -158,6 +161,18 @@ def wrong_scale(size: float, usual: float, depth_scale: float | None = None) -> 
     if not usual / ODD_SIZE < size * factor < ODD_SIZE * usual:
         return None
     return WrongScale.of(factor, depth_scale)
+
+
+def depth_doubts(observation: Observation) -> Iterator[Check]:
+    """Where what is seen beside the object shows that the image does not hold depth."""
+    depth, camera, mask = observation.depth, observation.camera, observation.mask
+    if depth is None or camera is None or mask is None:
+        return
+    beside = (depth > 0) & ~mask
+    if np.count_nonzero(beside) < SURROUNDED * beside.size:
+        return
+    if hold_distances(camera.backproject(np.argwhere(beside)[:, ::-1], depth[beside]).astype(np.float32)):
+        yield Check("depth", TOLD, "the image may hold distances, or be that of a wide lens", CURE, grave=True)
 
 
 def camera_doubts(

@@ -1,9 +1,10 @@
 """What lies beside a depth image and says how to read it: its camera, its scale, its mask, its colours.
 
 Of ``x.png`` or ``x.depth.png`` these are, the first that tells counts: ``x.json`` or ``x.yaml``, ``camera.json`` or
-``camera.yaml`` in its folder, and ``dataset.json`` in its folder or the one above, as ``omad render`` writes it. The
-mask is ``x.mask.png``, the colour image ``x.color.png`` or ``x.color.jpg``. A file with neither intrinsics nor
-``depth_scale`` is not for it, and passed over, as is in a folder of inputs a picture ``x.png`` beside an ``x.ply``.
+``camera.yaml`` in its folder, and in its folder or the one above ``dataset.json``, as ``omad render`` writes it, or
+``scene_camera.json``, in which BOP's data sets have a camera for each image by its number. The mask is
+``x.mask.png``, the colour image ``x.color.png`` or ``x.color.jpg``. A file with neither intrinsics nor ``depth_scale``
+is not for it, and passed over, as is in a folder of inputs a picture ``x.png`` beside an ``x.ply``.
 """
 
 from collections.abc import Iterator
@@ -19,7 +20,7 @@ from omad.common.errors import InputError
 from omad.common.incoming import IMAGE_FORMATS
 from omad.common.limits import limits
 
-from .camera_files import CameraFile, camera_of, read_table, scale_of, tells_of_camera
+from .camera_files import CameraFile, camera_of, of_image, read_table, scale_of, tells_of_camera
 
 OF_DEPTH = ".depth"
 COMPANIONS = (".mask", ".labels", ".instances", ".color")
@@ -46,7 +47,7 @@ class Beside:
         stem = depth.stem.removesuffix(OF_DEPTH)
         camera = scale = camera_file = scale_file = None
         for file in _files(depth.parent, stem):
-            table = _table(file)
+            table = of_image(_table(file), stem)
             if camera is None and tells_of_camera(table):
                 camera, camera_file = camera_of(table, file), file
             if scale is None and (scale := scale_of(table, file)) is not None:
@@ -84,7 +85,8 @@ def _images(folder: Path, stem: str) -> list[Path]:
 def _files(folder: Path, stem: str) -> Iterator[Path]:
     for name in (stem, "camera"):
         yield from (folder / f"{name}{suffix}" for suffix in (".json", ".yaml", ".yml"))
-    yield from (folder / "dataset.json", folder.absolute().parent / "dataset.json")
+    for name in ("dataset.json", "scene_camera.json"):
+        yield from (folder / name, folder.absolute().parent / name)
 
 
 def _table(file: Path) -> Any:

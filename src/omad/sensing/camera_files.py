@@ -25,6 +25,11 @@ SKEWED = 1.0
 """Pixels of skew that are left out without a word: calibrations have a fraction of one, and depth errs by more."""
 FARTHEST = 1e3
 """Metres between cameras."""
+BOP, COARSEST = "cam_K", 0.05
+"""What BOP's data sets call intrinsics, and from how many metres on no camera's integer is a step: BOP writes
+millimetres."""
+MATRICES = ("K", "k", "camera_matrix", BOP)
+"""What matrices row by row are called."""
 LENS, FISHEYE = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"), ("k1", "k2", "k3", "k4")
 """Coefficients by name, in OpenCV's order."""
 SCALE = "depth_scale"
@@ -61,8 +66,8 @@ def read_camera(source: str | Path) -> CameraFile:
     column-major, alone or in PinholeCameraParameters), JSON or YAML with ``fx, fy, cx, cy`` or librealsense's ``fx, fy,
     ppx, ppy`` (with ``model`` and ``coeffs``, or ``k1`` and so on), ROS CameraInfo YAML (``K`` or ``k``, with
     ``distortion_model`` and ``D`` or ``d``), OpenCV's FileStorage YAML (``camera_matrix``,
-    ``distortion_coefficients``), NPY, or text holding 3x3 or 4 numbers; beside these names ``depth_scale``. Raises
-    InputError for others."""
+    ``distortion_coefficients``), BOP's JSON (``cam_K``, of one image or the same of all), NPY, or text holding 3x3 or 4
+    numbers; beside these names ``depth_scale``. Raises InputError for others."""
     text = str(source)
     if (numbers := _numbers(text)) is not None:
         return CameraFile(as_K(numbers, f"intrinsics {shown(repr(text))}"))
@@ -86,6 +91,7 @@ def _told(data: Any, name: str | Path) -> CameraFile:
 def camera_of(data: Any, name: str | Path) -> CameraFile:
     """What a table tells of a camera under any of the names that ``read_camera`` knows; ``name``: of it in messages.
     Raises InputError."""
+    data = _of_all_images(data, name)
     scale, data = scale_of(data, name), _inner(data)
     K = as_K(_find_intrinsics(data, name), str(name))
     try:
@@ -101,18 +107,36 @@ def camera_of(data: Any, name: str | Path) -> CameraFile:
 def tells_of_camera(data: Any) -> bool:
     """Whether a table holds intrinsics, right or wrong."""
     data = _inner(data)
-    return isinstance(data, dict) and any(key in data for key in ("intrinsic_matrix", "K", "k", "camera_matrix", "fx"))
+    return isinstance(data, dict) and any(key in data for key in ("intrinsic_matrix", *MATRICES, "fx"))
 
 
 def scale_of(data: Any, name: str | Path) -> float | None:
-    """Metres per stored integer that a table tells. Open3D and TUM write how many integers are a metre. Raises
-    InputError."""
+    """Metres per stored integer that a table tells. Open3D and TUM write how many integers are a metre, BOP how many
+    millimetres an integer is. Raises InputError."""
     if not isinstance(data, dict) or SCALE not in data:
         return None
     told = data[SCALE]
     if isinstance(told, bool) or not isinstance(told, int | float) or not SCALES[0] <= told <= SCALES[1]:
         raise InputError(f"{name}: {SCALE} is no number of metres; correct it, or give --depth-scale")
-    return 1 / told if told > 1 else float(told)
+    return 1 / told if told > 1 else told / 1000 if told >= COARSEST else float(told)
+
+
+def of_image(data: Any, stem: str) -> Any:
+    """What a table of cameras tells of the image called ``stem``, where it names images by their numbers as BOP's
+    scene_camera.json does; any other table as it is."""
+    number = str(int(stem)) if stem.isdecimal() else stem
+    return data[number] if isinstance(data, dict) and isinstance(data.get(number), dict) else data
+
+
+def _of_all_images(data: Any, name: str | Path) -> Any:
+    """The one camera of a table of many images. Raises InputError where they have several."""
+    cameras = list(data.values()) if isinstance(data, dict) else []
+    if not cameras or not all(isinstance(each, dict) and BOP in each for each in cameras):
+        return data
+    if any((each[BOP], each.get(SCALE)) != (cameras[0][BOP], cameras[0].get(SCALE)) for each in cameras):
+        cure = "leave --intrinsics out, and it is read where it lies beside the images or one folder above"
+        raise InputError(f"{name}: holds a camera for each of {len(cameras)} images; {cure}")
+    return cameras[0]
 
 
 def _inner(data: Any) -> Any:
@@ -214,9 +238,10 @@ _PlainYaml.add_constructor("tag:yaml.org,2002:opencv-matrix", _PlainYaml.constru
 def _find_intrinsics(data: Any, name: str | Path) -> np.ndarray:
     """Row-major K or (fx, fy, cx, cy) out of the formats that people have."""
     try:
-        if "intrinsic_matrix" in data:  # Open3D writes matrices column by column
-            return np.asarray(data["intrinsic_matrix"], dtype=np.float64).reshape(3, 3).T
-        for key in ("K", "k", "camera_matrix"):
+        if "intrinsic_matrix" in data:  # Open3D writes matrices column by column, others row by row
+            matrix = np.asarray(data["intrinsic_matrix"], dtype=np.float64).reshape(3, 3)
+            return matrix if not matrix[2, :2].any() else matrix.T
+        for key in MATRICES:
             if key in data:
                 return np.asarray(_listed(data[key]), dtype=np.float64)
         centre = ("ppx", "ppy") if "ppx" in data else ("cx", "cy")
@@ -289,7 +314,10 @@ def _listed(value: Any) -> Any:
 
 
 def as_K(numbers: np.ndarray, name: str) -> np.ndarray:
-    """(3, 3) from 4 numbers (fx, fy, cx, cy) or 9 row by row; ``name``: of them in messages. Raises InputError."""
+    """(3, 3) from 4 numbers (fx, fy, cx, cy) or 9 row by row, or the 12 or 16 of a projection (3, 4) or (4, 4) from the
+    camera's own frame; ``name``: of them in messages. Raises InputError."""
+    if numbers.size in (12, 16) and not (rows := numbers.reshape(-1, 4))[:3, 3].any():
+        numbers = rows[:3, :3]
     if numbers.size not in (4, 9) or numbers.dtype.kind not in "iuf":
         raise InputError(f"{name}: expected fx,fy,cx,cy or a 3x3 matrix, got {numbers.size} numbers")
     numbers = numbers.astype(np.float64).ravel()

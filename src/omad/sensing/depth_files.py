@@ -32,6 +32,8 @@ LOSSY = (".jpg", ".jpeg")
 CLOUD_FORMATS = (".ply", ".pcd", ".xyz", ".txt", *ARRAY_FORMATS)
 ARRAY_MAGIC, JPEG_MAGIC = (b"\x93NUMPY", b"PK"), b"\xff\xd8"
 """What arrays and JPEGs begin with."""
+WIDE = 10
+"""No depth image is narrower, and no cloud has so many columns."""
 MILLIMETRES = 1e-3
 """Metres per stored integer of a depth image that does not say otherwise."""
 SCALES = (1e-9, 1e9)
@@ -194,11 +196,13 @@ def is_cloud(path: str | Path) -> bool:
         shapes = array_shapes(Path(path))
         if "points" in shapes or "depth" in shapes:
             return "points" in shapes
+        if len(shapes) > 1:  # whichever is meant has another name
+            return not any(len(shape) == 2 and shape[1] >= WIDE for shape in shapes.values())
         shape = next(iter(shapes.values()))
     except (InputError, StopIteration):  # whoever reads it next says what is wrong
         return suffix == ".npz"
     columns = shape[-1] if shape else 0
-    return columns == 3 if len(shape) == 3 else 3 <= columns < 10  # no depth image is so narrow
+    return columns == 3 if len(shape) == 3 else 3 <= columns < WIDE
 
 
 def holds_mask(depth: Path) -> bool:

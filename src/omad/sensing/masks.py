@@ -1,4 +1,5 @@
-"""Masks as people have them: booleans, label images, probabilities, cut-out pictures, COCO's run lengths and polygons.
+"""Masks as people have them: booleans, label images, probabilities, cut-out pictures, COCO's run lengths and polygons,
+LabelMe's polygons.
 
 COCO's run lengths are those of pycocotools (Lin et al., "Microsoft COCO", 2014).
 """
@@ -37,6 +38,11 @@ EDGE, MOST_WORK = 1000, 300_000_000
 """What an edge of a polygon costs beside a pixel of its box, and pixels at most: some seconds."""
 WHOLE, SPECK = 0.95, 0.0005
 """Shares of the image above and below which a mask is doubtful."""
+BEYOND, SOME, FEW_ENOUGH = 4.0, 0.01, 2000
+"""What is so many times as far as most of a mask is no object's; the share of it from which on that is told; and pixels
+that tell how far most are."""
+PROPORTIONS = 0.02
+"""By what share proportions differ at most of images that are one, resized."""
 MUCH = 0.25
 """Of a mask, what is much to add to it. Exact masks gain a tenth at most, before noise with holes, too."""
 
@@ -50,7 +56,9 @@ def as_mask(values: Any, mask_id: int | None = None) -> np.ndarray:
       alpha channel varies it is the mask, else the colours;
     - a COCO segmentation, a mapping with ``size`` (H, W) and ``counts``, compressed or not, or ``polygons``, rows of
       x, y, x, y ... in pixels; or an annotation that has it, or an array as above, under ``segmentation``; or a file
-      of ``annotations``, or a list of them, of which ``mask_id`` is one's id, where there are several.
+      of ``annotations``, or a list of them, of which ``mask_id`` is one's id, where there are several, or its place
+      from 0 on where they have none;
+    - a file of LabelMe's, whose ``shapes`` are such annotations without ids, those of one ``group_id`` together.
 
     ``mask_id`` is any kind of whole number. Raises InputError for logits, for several masks or labels in one, and for
     what is none of these."""
@@ -58,6 +66,7 @@ def as_mask(values: Any, mask_id: int | None = None) -> np.ndarray:
     if are_annotations(values):
         values = {"annotations": values}
     if isinstance(values, Mapping):
+        values = _of_labelme(values) if "shapes" in values else values
         if mask_id is not None and "annotations" not in values and values.get("id", mask_id) != mask_id:
             raise InputError(f"mask: the annotation has the id {values['id']}, not {mask_id}")
         return _decoded(_annotation(values, mask_id), None if {"annotations", "id"} & values.keys() else mask_id)
@@ -217,9 +226,10 @@ def _annotation(coco: Mapping[str, Any], mask_id: int | None) -> Mapping[str, An
     found = coco["annotations"]
     if not isinstance(found, Sequence) or not found or not all(isinstance(one, Mapping) for one in found):
         raise InputError('mask: "annotations" holds none; give one with its "segmentation", or "size" and "counts"')
-    chosen = [one for one in found if one.get("id") == mask_id] if mask_id is not None else found
+    numbered = [one.get("id", place) for place, one in enumerate(found)]
+    chosen = [one for one, its in zip(found, numbered, strict=True) if mask_id in (None, its)]
     if len(chosen) != 1:
-        ids = ", ".join(str(one.get("id")) for one in found[:LISTED]) + (", ..." if len(found) > LISTED else "")
+        ids = ", ".join(map(str, numbered[:LISTED])) + (", ..." if len(found) > LISTED else "")
         told = f"{len(found)} with the ids {ids}; give mask_id (--mask-id), or one of them"
         raise InputError(f'mask: "annotations" holds {told}')
     images = coco.get("images", coco.get("image", ()))
@@ -227,6 +237,22 @@ def _annotation(coco: Mapping[str, Any], mask_id: int | None) -> Mapping[str, An
     its = [one for one in listed if isinstance(one, Mapping) and one.get("id") == chosen[0].get("image_id")]
     sizes = [(one.get("height"), one.get("width")) for one in its]
     return {"size": sizes[0] if sizes else (), **chosen[0]}
+
+
+def _of_labelme(file: Mapping[str, Any]) -> Mapping[str, Any]:
+    """A file of LabelMe's as one of COCO's."""
+    things: dict[int | str, list[Any]] = {}
+    shapes = file["shapes"]
+    if not isinstance(shapes, Sequence) or not all(isinstance(shape, Mapping) for shape in shapes):
+        raise InputError('mask: "shapes" are no list of outlines as LabelMe writes them; export it again')
+    for place, shape in enumerate(shapes):
+        if shape.get("shape_type", "polygon") != "polygon":
+            kind = shown(repr(shape["shape_type"]))
+            raise InputError(f"mask: a shape of the kind {kind}; draw polygons, or give a --box, or an image")
+        group = shape.get("group_id")
+        things.setdefault(place if group is None else repr(group), []).append(shape.get("points"))
+    size = {"height": file.get("imageHeight"), "width": file.get("imageWidth")}
+    return {"image": size, "annotations": [{"segmentation": polygons} for polygons in things.values()]}
 
 
 def _decoded(coco: Mapping[str, Any], mask_id: int | None) -> np.ndarray:
@@ -317,6 +343,35 @@ def _inside(corners: np.ndarray, width: int, height: int) -> np.ndarray:
         rows = np.arange(*np.sort(np.searchsorted(y, (y0, y1))))
         edges[rows, np.searchsorted(x, x0 + (y[rows] - y0) * (x1 - x0) / (y1 - y0 or 1.0))] ^= True
     return np.logical_xor.accumulate(edges[:, ::-1], axis=1)[:, ::-1][:, 1:]
+
+
+def without_beyond(mask: np.ndarray, depth: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
+    """A mask (H, W) bool without what is far beyond the object in a ``depth`` image, as the numbers are that some write
+    where nothing was measured; and what to know of that."""
+    inside = depth[mask]
+    measured = inside[inside > 0]
+    if not len(measured) or measured.max() <= (far := BEYOND * np.median(measured[:: 1 + len(measured) // FEW_ENOUGH])):
+        return mask, ()
+    beyond = mask & (depth > far)
+    if (share := np.count_nonzero(beyond) / len(measured)) < SOME:
+        return mask & ~beyond, ()
+    what = f"{share:.0%} of the mask's pixels are {np.median(depth[beyond]):.3g} m away, far behind the rest"
+    return mask & ~beyond, (f"{what}, and were left out; store 0 where nothing was measured, or check the mask",)
+
+
+def check_size(mask: np.ndarray, shape: tuple[int, ...]) -> None:
+    """Raises InputError where a mask (H, W) is not of the depth image's ``shape``. Resized to other proportions it
+    would lie beside the object."""
+    if mask.shape == shape:
+        return
+    (height, width), (down, across) = mask.shape, shape
+    cure = "resize it to that"
+    if mask.shape == shape[::-1]:
+        cure = "turn it by 90 degrees, as the depth image is"
+    elif abs(width * down / (height * across) - 1) > PROPORTIONS:
+        both = "give --color-intrinsics and --color-extrinsics"
+        cure = f"it is of another image: draw it in the depth image, or where it is of the colour image {both}"
+    raise InputError(f"mask: shape {mask.shape} differs from the depth image's {shape}; {cure}")
 
 
 def odd_mask(mask: np.ndarray | None, given: np.ndarray | None) -> tuple[str, ...]:

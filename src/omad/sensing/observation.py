@@ -18,7 +18,7 @@ from .camera_files import as_K
 from .depth_files import one_channel
 from .foreign.cameras import camera_from
 from .foreign.images import depth_from, eight_bits, image_from, points_from
-from .masks import as_mask, odd_mask
+from .masks import as_mask, check_size, odd_mask, without_beyond
 
 MIN_POINTS = 50
 FAR = 100.0
@@ -117,10 +117,12 @@ class Observation:
         given = mask = None if mask is None else as_mask(image_from(mask), mask_id)
         if mask is not None and not mask.any():
             raise NothingSeen("mask: is empty, no pixel of it is the object's; check it")
+        far = ()
         if mask is not None and mask.shape == depth.shape and not mask.all():
             from .thin_parts import with_thin_parts  # imports Numba, which takes long
 
-            mask = with_thin_parts(mask, depth)
+            given, far = without_beyond(mask, depth)
+            mask = with_thin_parts(given, depth)
         chosen = region_of(depth.shape, mask, box)
         chosen, seen_at = chosen & measured, None
         if (count := np.count_nonzero(chosen)) < MIN_POINTS:
@@ -152,7 +154,7 @@ class Observation:
                 where = "outside of the image as it is without its lens, and were left out"
                 warnings += (f"{lost:.0%} of the points lie {where}; turn the camera towards the object",)
             points, pixels, seen_at = points[kept], pixels[kept].astype(int), seen_at[kept]
-        warnings = _doubts(camera) + odd_mask(mask, given) + warnings
+        warnings = _doubts(camera) + odd_mask(mask, given) + far + warnings
         points, seen_in = np.ascontiguousarray(points, dtype=np.float32), {"every": every, "seen_at": seen_at}
         seen = cls(points, depth, camera, pixels, chosen, warnings, color, **seen_in)
         return seen.without_strays() if drop_flying else seen
@@ -286,7 +288,8 @@ def _check_depth(depth_m: Any) -> np.ndarray:
         depth[depth == np.inf] = 0
         farthest = depth.max()
     if farthest == 0:
-        raise NothingSeen("depth: no pixel holds a measurement (all are zero or NaN); check the camera and the file")
+        why = "some are negative, and z points forward" if (stored < 0).any() else "all are zero or NaN"
+        raise NothingSeen(f"depth: no pixel holds a measurement ({why}); check the camera and the file")
     if farthest > FAR or farthest < NEAR:
         _check_metres(stored[depth > 0], "depth")
         depth[depth > FARTHEST] = 0
@@ -345,8 +348,7 @@ def region_of(shape: tuple[int, ...], mask: np.ndarray | None, box: Sequence[flo
     height, width = shape
     region = np.ones(shape, dtype=bool)
     if mask is not None:
-        if mask.shape != shape:
-            raise InputError(f"mask: shape {mask.shape} differs from the depth image's {shape}; resize it to that")
+        check_size(mask, shape)
         region &= mask
     if box is not None:
         corners = numbers(box, 4, what="box: x1, y1, x2, y2 in pixels")

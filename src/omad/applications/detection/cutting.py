@@ -64,7 +64,7 @@ class ObjectFinder:
         best, likelihood = candidates[0], _likelihood(candidates[0])
         if likelihood < LIKELY and box is None:
             what = f"of {len(things)} things {where} the likeliest is one with {likelihood:.0%}"
-            raise NothingSeen(f"no {names}: {what}; {cure}")
+            raise NothingSeen("; ".join([f"no {names}: {what}", *look.doubts, cure]))
         doubts = [*look.doubts]
         if likelihood < SURE:
             doubts.append(f"the thing taken for the {names} is one with {likelihood:.0%} only: look at it; {cure}")

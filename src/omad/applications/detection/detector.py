@@ -20,6 +20,7 @@ from omad.model.proposals.network import Proposer, shipped_proposer
 from omad.objects.category import Category
 from omad.objects.category_file import get_category
 from omad.sensing.cutting.angles import angle_doubts
+from omad.sensing.cutting.distances import CURE, TOLD, hold_distances
 from omad.sensing.cutting.segmentation import WITHIN, things_alone, things_before_planes
 from omad.sensing.observation import Observation
 from omad.sensing.steadying import steadied
@@ -165,7 +166,7 @@ class Detector:
             if (_shown(alone) > _shown(judged)).all():
                 judged, found = alone, replace(found, planes=found.planes[:0])
         flat = tuple(e.category.name for e in self.estimators if _height(e) < CLEAR * found.lowest)
-        doubts = (*angle_doubts(found.planes), *_unsupported(frame, found.planes, judged))
+        doubts = (*_bent(frame), *angle_doubts(found.planes), *_unsupported(frame, found.planes, judged))
         return Look(judged, found.lowest, flat, doubts, found.planes)
 
     def scale_doubts(self, look: Look, depth_scale: float | None) -> Iterator[str]:
@@ -265,6 +266,12 @@ def measured_margin(frame: Observation) -> float:
     inner = frame.mask[down : height - down, across : width - across]
     seen = np.count_nonzero(frame.mask) - np.count_nonzero(inner)
     return seen / (frame.mask.size - inner.size)
+
+
+def _bent(frame: Observation) -> Iterator[str]:
+    """Where depth images hold something else."""
+    if measured_margin(frame) >= TOUCHED and hold_distances(frame.points):
+        yield f"{TOLD}; {CURE}"
 
 
 def _unsupported(frame: Observation, planes: np.ndarray, judged: Sequence[Detection]) -> Iterator[str]:
