@@ -61,6 +61,31 @@ def test_a_slide_that_follows_a_turn_begins_at_its_offset(tmp_path):
     np.testing.assert_allclose(raised, np.broadcast_to([0, 0.01, 0], raised.shape), atol=1e-9)
 
 
+@pytest.mark.parametrize("slide_first", [True, False])
+@pytest.mark.parametrize("turn_follows", [True, False])
+def test_a_slide_and_a_turn_are_a_screw_whichever_is_first_and_whichever_follows(slide_first, turn_follows, tmp_path):
+    file, made = jar_of_two_joints(tmp_path)
+    tree = ElementTree.parse(file)
+    turn, slide = tree.getroot().findall("joint")
+    if slide_first:
+        for tag in ("parent", "child"):
+            (turn_end, slide_end) = (turn.find(tag), slide.find(tag))
+            turn_end.attrib, slide_end.attrib = dict(slide_end.attrib), dict(turn_end.attrib)
+    per_radian, start = 0.01, 0.002
+    follower, leader, multiplier, offset = (
+        (turn, slide, 1 / per_radian, -start / per_radian) if turn_follows else (slide, turn, per_radian, start)
+    )
+    said = {"joint": leader.get("name"), "multiplier": str(multiplier), "offset": str(offset)}
+    ElementTree.SubElement(follower, "mimic", said)
+    tree.write(file)
+    found, plain = read_articulation(file), made.parts[1]
+    [joint] = found.joints
+    assert joint.follows is None
+    np.testing.assert_allclose([joint.motion.turn, joint.motion.slide], [1, per_radian])
+    np.testing.assert_allclose(found.links[1].mesh.vertices, plain.vertices + [0, start, 0], atol=1e-9)
+    np.testing.assert_allclose(joint.limits, [(0 - start) / per_radian, (1.5 * JAR_PITCH - start) / per_radian])
+
+
 def test_parts_on_one_hinge_may_hang_on_each_other_or_not(tmp_path):
     """A stapler whose magazine turns on the base, where the spec has it turn on the lid."""
     category, made = get_category(DOCS / "categories/stapler.toml"), stapler()

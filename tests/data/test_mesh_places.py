@@ -53,3 +53,23 @@ def test_a_mesh_that_tells_its_unit_is_taken_in_it():
         mesh.with_suffix(".dae").write_text(collada.replace("<up_axis>", '<unit name="mm" meter="0.001"/><up_axis>'))
     file.write_text(file.read_text().replace(".obj", ".dae"))
     np.testing.assert_allclose(import_model(file, MICROWAVE).part_boxes(), made.part_boxes(), atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [("meshes/", "meshes\\"), ("meshes/", "Meshes/"), (".obj", ".OBJ"), ("meshes/", "model://oven/meshes/")],
+)
+def test_a_mesh_may_be_named_as_on_windows_or_in_gazebo(before, after):
+    made = microwave()
+    file = write_urdf(made, Path("oven/oven.urdf"))
+    file.write_text(file.read_text().replace(before, after))
+    np.testing.assert_allclose(import_model(file, MICROWAVE).part_boxes(), made.part_boxes(), atol=1e-9)
+
+
+def test_an_object_may_be_a_ros_package():
+    for name in ("oven", "other"):
+        write_urdf(microwave(), f"models/{name}/urdf/{name}.urdf")
+        shutil.move(f"models/{name}/urdf/meshes", f"models/{name}/meshes")
+        file = Path(f"models/{name}/urdf/{name}.urdf")
+        file.write_text(file.read_text().replace("meshes/", f"package://{name}/meshes/"))
+    assert import_folder(Path("models"), MICROWAVE, Path("ours")).used == ["other", "oven"]

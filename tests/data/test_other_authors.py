@@ -1,5 +1,6 @@
 """Models as different people write them: where is rest, what is up and in front, and is it of the category at all?"""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,6 +12,8 @@ from helpers.own_models import Z_UP, box
 from omad.common.errors import InputError
 from omad.data.procedural import generate
 from omad.data.urdf_import.folder import import_model
+from omad.geometry.joint_kinds import REVOLUTE
+from omad.geometry.kinematics import KinematicTree
 from omad.geometry.mesh import Mesh, merge_meshes
 from omad.objects.category import JointSpec
 from omad.objects.model import ObjectModel
@@ -139,3 +142,120 @@ def test_a_lid_that_swings_about_its_middle_is_refused(tmp_path):
 def test_what_reaches_nowhere_cannot_be_told_by_it():
     with pytest.raises(ValueError, match="rest: is 'reaching', of a part without a reach; give that, too"):
         JointSpec("neck", "revolute", 0, (1, 0, 0), (-1, 1), rest="reaching")
+
+
+# Trees that are written otherwise ------------------------------------------------------------------------------------
+
+
+def hung_from(model: ObjectModel, part: int, names: Sequence[str] = ()) -> ObjectModel:
+    """The object with its base hung on one of the parts that moved on it, and that as the root of the tree."""
+    order = [part, 0, *(other for other in range(1, len(model.parts)) if other != part)]
+    joints = [part - 1, *(other - 1 for other in order[2:])]
+    signs = np.array([[-1.0], *[[1.0]] * (len(joints) - 1)])
+    motions = tuple(model.tree.motions[joint] for joint in joints)
+    return replace(
+        model,
+        part_names=tuple(names or (f"link_{index}" for index in range(len(order)))),
+        parts=tuple(model.parts[index] for index in order),
+        joint_names=tuple(f"joint_{joint}" for joint in joints),
+        tree=KinematicTree((0, *[1] * (len(joints) - 1)), motions),
+        axes=model.axes[joints] * signs,
+        pivots=model.pivots[joints],
+        limits=model.limits[joints],
+    )
+
+
+@pytest.mark.parametrize(
+    "name", ["dishwasher", "eyeglasses", "drawer", "cabinet_two_doors", "refrigerator", "trash_can"]
+)
+def test_a_tree_may_begin_at_the_door(name, tmp_path):
+    truth = generate(EVERY[name], 0)
+    as_usual = import_model(as_file(truth, tmp_path / "usual", truth.limits.mean(1)), EVERY[name])
+    turned = hung_from(truth.with_zero_at(truth.limits.mean(1)), 1)
+    turned = replace(turned, parts=tuple(part.warped(lambda v: v @ Z_UP.T + 0.3) for part in turned.parts))
+    turned = replace(turned, axes=turned.axes @ Z_UP.T, pivots=turned.pivots @ Z_UP.T + 0.3)
+    assert_found(import_model(write_urdf(turned, tmp_path / "turned"), EVERY[name]), as_usual)
+
+
+def test_a_part_called_like_the_category_is_not_taken_for_one_of_a_name_inside_of_that(tmp_path):
+    """No top in laptop_chassis."""
+    base, screen = box((-0.17, 0, 0), (0.17, 0.018, 0.24)), box((-0.17, 0.018, -0.008), (0.17, 0.25, 0))
+    truth = made("laptop", [base, screen], [(0, 0.018, 0)], [np.radians([-45, 85])])
+    turned = hung_from(truth, 1, ["laptop_screen", "laptop_chassis"])
+    assert_found(import_model(write_urdf(turned, tmp_path), EVERY["laptop"]), truth)
+
+
+def test_halves_that_turn_on_a_screw_between_them_turn_on_each_other(tmp_path):
+    truth = generate(EVERY["scissors"], 0)
+    model = truth.with_zero_at(truth.limits[:, 0])
+    screw = box(model.pivots[0] - 0.003, model.pivots[0] + 0.003)
+    width = np.ptp(truth.limits[0])
+    on_screw = replace(
+        model,
+        part_names=("link_0", "link_1", "link_2"),
+        parts=(screw, *model.parts),
+        joint_names=("one", "other"),
+        tree=KinematicTree((0, 0), (REVOLUTE, REVOLUTE)),
+        axes=model.axes[[0, 0]],
+        pivots=model.pivots[[0, 0]],
+        limits=np.array([[-width / 2, 0], [0, width / 2]]),
+    )
+    found = import_model(write_urdf(on_screw, tmp_path), EVERY["scissors"])
+    np.testing.assert_allclose(found.limits, truth.limits, atol=1e-6)
+
+
+def test_what_turns_about_its_own_middle_is_not_taken_for_the_door(tmp_path):
+    truth = generate(EVERY["microwave"], 0)
+    size = np.ptp(truth.part_boxes()[1], axis=0)[0] / 2
+    plate = box((-size, -0.01, -size), (size, 0, size))
+    with_plate = replace(
+        truth,
+        part_names=("link_0", "link_1", "link_2"),
+        parts=(*truth.parts, plate),
+        joint_names=("joint_0", "joint_1"),
+        tree=KinematicTree((0, 0), (REVOLUTE, REVOLUTE)),
+        axes=np.concatenate([truth.axes, [[0, 1, 0]]]),
+        pivots=np.concatenate([truth.pivots, [[0, 0, 0]]]),
+        limits=np.concatenate([truth.limits, [[-3, 3]]]),
+    )
+    model = import_model(write_urdf(with_plate, tmp_path), EVERY["microwave"])
+    np.testing.assert_allclose(np.ptp(model.part_boxes()[1], axis=0), np.ptp(truth.part_boxes()[1], axis=0), atol=1e-6)
+
+
+def test_a_lid_may_hang_on_the_magazine(tmp_path):
+    lows, highs = [(0.0, 0.0), (0.03, 0.0), (0.02, 0.0)], [(0.01, 0.15), (0.05, 0.14), (0.03, 0.13)]
+    ends = zip((0.015, 0.015, 0.01), lows, highs, strict=True)
+    base, lid, magazine = (box((-w, *low), (w, *high)) for w, low, high in ends)
+    pivots, limits = [(0, 0.025, 0)] * 2, np.radians([[0, 90], [0, 50]])
+    truth = made("stapler", [base, lid, magazine], pivots, limits)
+    chain = replace(
+        made("stapler", [base, magazine, lid], pivots, np.radians([[0, 40], [0, 50]])),
+        part_names=("link_0", "link_1", "link_2"),
+        axes=truth.axes[[0, 0]],
+    )
+    model = import_model(write_urdf(chain, tmp_path), EVERY["stapler"])
+    assert_found(model, truth)
+    np.testing.assert_allclose(model.limits, truth.limits, atol=1e-6)
+
+
+def test_a_chest_of_two_columns_stands_though_it_is_wide(tmp_path):
+    ends = [(x, y) for y in (0.35, 0.05) for x in (-0.4, 0.01)]
+    drawers = [box((x, y, -0.2), (x + 0.39, y + 0.28, 0.22)) for x, y in ends]
+    truth = made("drawer_4", [box((-0.42, -0.15, -0.2), (0.42, 0.65, 0.2)), *drawers], np.zeros((4, 3)), [[0, 0.3]] * 4)
+    model = import_model(as_file(truth, tmp_path, [0.3, 0.3, 0, 0]), EVERY["drawer_4"])
+    np.testing.assert_allclose(model.part_boxes()[0], truth.part_boxes()[0], atol=1e-6)
+    assert (model.part_boxes()[1:3, 0, 1] > model.part_boxes()[3:, 1, 1]).all()
+
+
+@pytest.mark.parametrize("kind", ["floating", "planar"])
+def test_what_moves_freely_in_the_world_stands_in_it(kind, tmp_path):
+    truth = generate(EVERY["oven"], 0)
+    file = write_urdf(truth, tmp_path)
+    free = f'<joint name="free" type="{kind}"><parent link="world"/><child link="body"/></joint>'
+    file.write_text(file.read_text().replace("</robot>", f'<link name="world"/>{free}</robot>'))
+    assert_found(import_model(file, EVERY["oven"]), truth)
+    file.write_text(
+        file.read_text().replace('link="world"', 'link="door"').replace('child link="body"', 'child link="world"')
+    )
+    with pytest.raises(InputError, match=f"joint 'free' has the type '{kind}'; give revolute"):
+        import_model(file, EVERY["oven"])

@@ -46,7 +46,7 @@ def test_real_models_move_as_another_reader_moves_them(name, category):
     racks = {j.name: j.limit.lower for j in robot.actuated_joints if j.type == "prismatic"}
 
     # the vertices' correspondence and the zero state come from our own reading, the motion from theirs
-    (raw,) = label_parts(read_articulation(file, scale), category)
+    (raw,) = next(label_parts(read_articulation(file, scale), category))
     T = rigid(raw.links[0].mesh.vertices, model.parts[0].vertices)
     to_rest = np.linalg.inv(T) @ rigid(raw.links[1].mesh.vertices, model.parts[1].vertices)
     rest = Rotation.from_matrix(to_rest[:3, :3]).as_rotvec() @ raw.joints[0].axis

@@ -5,7 +5,7 @@ up to quarter turns. Which of the eight frames that leaves is canonical, the cat
 the child reaches from its joint, on which side of its parent it lies, which way its joint moves.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -36,6 +36,8 @@ UP = np.array([0.001, 0.02, 0.05])
 where geometry does not; a right-hinged door on its head is a left-hinged one."""
 FAR = 0.01
 """How far a radian to where parts reach as they should speaks against a frame: that decides where no limits do."""
+HARDLY_TOLD = 0.1
+"""How much the places of drawers tell beside their order."""
 SHORT = 0.1
 """Share of the object's diagonal below which a distance says little about its direction."""
 
@@ -54,13 +56,24 @@ class Aligned:
         return bool(np.linalg.det(self.R_canonical_source) < 0)
 
 
-def align(labellings: Sequence[RawArticulation], category: Category) -> Aligned:
+def align(ways: Iterable[Sequence[RawArticulation]], category: Category) -> Aligned:
     """Bring an articulation to canonical space.
 
-    Each labelling has the category's parts as its links and the category's joints as its joints, in order;
-    the one that fits the spec best is taken. Raises InputError, without a file's name, where none is shaped
-    or jointed like the category's. What is canonical already, as our own files are, stays as it stands.
+    The first of the ways to take it that is shaped and jointed like the category's counts. Of each, every labelling has
+    the category's parts as its links and the category's joints as its joints, in order; the one that fits the spec best
+    is taken. Raises InputError, without a file's name, with what is wrong with the first way, where none fits.
+    What is canonical already, as our own files are, stays as it stands.
     """
+    refusals = []
+    for labellings in ways:
+        try:
+            return _aligned(labellings, category)
+        except InputError as refusal:
+            refusals.append(refusal)
+    raise refusals[0]
+
+
+def _aligned(labellings: Sequence[RawArticulation], category: Category) -> Aligned:
     found = next((as_model(raw, category) for raw in labellings if _is_canonical(raw, category)), None)
     best, R = found, np.eye(3)
     if best is None:
@@ -113,7 +126,7 @@ def _candidates(
         states = reaching_states(turned, category)
         if states.any():
             turned = turned.with_zero_at(states)
-        fit = _agreement(turned, category, _asides(turned)).mean() + _travel(turned, category).mean()
+        fit = _agreement(turned, category, _choosing_asides(turned, category)).mean() + _travel(turned, category).mean()
         yield turned, R, float(fit + R[1] @ UP - FAR * np.abs(states).sum())
 
 
@@ -192,6 +205,18 @@ def _asides(model: ObjectModel) -> np.ndarray:
     """(J, 3) from the middle of each joint's parent to that of its child."""
     centres = model.part_boxes().mean(1)
     return centres[1:] - centres[list(model.tree.parents)]
+
+
+def _choosing_asides(model: ObjectModel, category: Category) -> np.ndarray:
+    """The same as far as it tells which frame is canonical. Of parts that slide beside each other, as drawers do, it is
+    their order that tells, and places hardly: a chest of two columns is wider than high, and yet stands."""
+    slides = [spec.parent for spec in category.joints if not spec.motion.turns]
+    rows = np.array([not spec.motion.turns and slides.count(spec.parent) > 1 for spec in category.joints])
+    plain = _asides(model)
+    if not rows.any():
+        return plain
+    told = HARDLY_TOLD * plain + (1 - HARDLY_TOLD) * _telling_asides(model, category)
+    return np.where(rows[:, None], told, plain)
 
 
 def _telling_asides(model: ObjectModel, category: Category) -> np.ndarray:

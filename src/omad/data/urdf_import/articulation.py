@@ -3,7 +3,7 @@
 import io
 import xml.etree.ElementTree as ElementTree
 from collections import Counter
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Self
@@ -28,6 +28,8 @@ FARTHEST = 1e6
 REPAIR = "repair the file or download it again"
 _JOINT_TYPES: dict[str, JointType] = {"revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic"}
 """URDF's own names."""
+_FREE = {"floating", "planar"}
+"""Those of joints by which a whole object moves in the world."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +69,10 @@ class RawJoint:
     def type(self) -> JointType:
         return type_of(self.motion)
 
+    def turned(self) -> Self:
+        """The same joint with its parent and its child exchanged."""
+        return replace(self, parent=self.child, child=self.parent, axis=-self.axis)
+
 
 @dataclass(frozen=True)
 class RawArticulation:
@@ -83,8 +89,7 @@ class RawArticulation:
 
     def rerooted(self, root: int) -> Self:
         """The same articulation hung up at link ``root``: joints on the way to the old root are turned round."""
-        turned = [replace(j, parent=j.child, child=j.parent, axis=-j.axis) for j in self.joints]
-        both = [joint for pair in zip(self.joints, turned, strict=True) for joint in pair]
+        both = [each for joint in self.joints for each in (joint, joint.turned())]
         order, joints = [root], list[RawJoint]()
         for link in order:
             for joint in both:
@@ -98,6 +103,20 @@ class RawArticulation:
         place = {link: index for index, link in enumerate(links)}
         kept = tuple(replace(joint, parent=place[joint.parent], child=place[joint.child]) for joint in joints)
         return replace(self, links=tuple(self.links[link] for link in links), joints=kept)
+
+
+@dataclass(frozen=True)
+class _Slide:
+    """Of a joint that slides as another one turns."""
+
+    turn: str
+    """The other one's name."""
+    per_radian: float
+    """How far it slides along the other one's axis, in the file's unit."""
+    start: float
+    """Where it is along its own axis when the other one is at zero."""
+    turns: tuple[float, float] | None
+    """Between which states of the other one, radians, its own limits keep it; None where the file states none."""
 
 
 def read_articulation(
@@ -144,10 +163,10 @@ def _articulation(path: Path, metres_per_unit: float, files: MeshFiles) -> RawAr
         solid = tuple(name for name in names if len(parts[name].faces))
         mesh = merge_meshes(parts.values()).warped(lambda vertices: vertices * metres_per_unit)
         bodies.append(RawLink((solid or names)[0], solid, mesh))
-    slides = dict(coupled.values())
+    slides = {slide.turn: slide for slide in coupled.values()}
     raw = []
     for joint in moving:
-        ends, slide = (body_of[joint.parent], body_of[joint.child]), slides.get(joint.name, 0.0)
+        ends, slide = (body_of[joint.parent], body_of[joint.child]), slides.get(joint.name)
         raw.append(_raw_joint(path, joint, slide, ends, T_model[joint.child], metres_per_unit))
     found = RawArticulation(
         robot.name or path.stem, tuple(bodies), tuple(raw), tuple(files.skipped), tuple(files.empty)
@@ -230,7 +249,10 @@ def _sorted_tree(path: Path, robot: Any) -> tuple[str, list[Any]]:
             raise InputError(f"{path}: a link or a joint has no name; give it one")
     if not links:
         raise InputError(f"{path}: no links; give a URDF with at least one")
+    beyond = {*links} - {joint.child for joint in robot.joints} - _solid(robot)
     for joint in robot.joints:
+        if joint.type in _FREE and joint.parent in beyond:
+            joint.type = "fixed"
         if joint.type != "fixed" and joint.type not in _JOINT_TYPES:
             cure = f"give {', '.join(_JOINT_TYPES)}, or fixed, as where the object hangs on the world by it"
             raise InputError(f"{path}: joint {joint.name!r} has the type {joint.type!r}; {cure}")
@@ -255,56 +277,72 @@ def _sorted_tree(path: Path, robot: Any) -> tuple[str, list[Any]]:
     return roots[0], joints
 
 
-def _places(root: str, joints: list[Any], coupled: Collection[str] = ()) -> dict[str, np.ndarray]:
-    """T_model_link (4, 4) of every link, all joints at zero: those that are ``coupled`` to others at their offset."""
+def _solid(robot: Any) -> set[str]:
+    """Names of links with shapes."""
+    return {link.name for link in robot.links if link.visuals or link.collisions}
+
+
+def _places(root: str, joints: list[Any], coupled: "dict[str, _Slide] | None" = None) -> dict[str, np.ndarray]:
+    """T_model_link (4, 4) of links, all joints at zero, those that are ``coupled`` where the others' zero has them."""
     T_model = {root: np.eye(4)}
     for joint in joints:
         T = T_model[joint.parent] @ (np.eye(4) if joint.origin is None else joint.origin)
-        if joint.name in coupled and joint.mimic.offset:
-            T = T @ rigid(np.eye(3), joint.mimic.offset * joint.axis / np.linalg.norm(joint.axis))
+        if (slide := (coupled or {}).get(joint.name)) is not None:
+            T = T @ rigid(np.eye(3), slide.start * joint.axis / np.linalg.norm(joint.axis))
         T_model[joint.child] = T
     return T_model
 
 
-def _coupled(robot: Any, joints: list[Any], T_model: dict[str, np.ndarray]) -> dict[str, tuple[str, float]]:
-    """Sliding joints that mimic the turning joint before them along the same axis, with only an empty link between:
-    the two are one joint. By the name of the slide: the other's name, and the slide in the file's unit a radian."""
+def _coupled(robot: Any, joints: list[Any], T_model: dict[str, np.ndarray]) -> dict[str, "_Slide"]:
+    """Sliding joints next to a turning one about the same axis, with only an empty link between, of which one mimics
+    the other: the two are one joint. By the name of the slide."""
     before = {joint.child: joint for joint in joints}
-    solid = {link.name for link in robot.links if link.visuals or link.collisions}
-    found = {}
+    solid, found = _solid(robot), {}
     for joint in joints:
         first = before.get(joint.parent)
-        if first is None or joint.mimic is None or joint.mimic.joint != first.name or joint.parent in solid:
+        if first is None or joint.parent in solid or not {first.type, joint.type} <= {*_JOINT_TYPES}:
             continue
-        kinds = tuple(motion_of(_JOINT_TYPES[each.type]).turns for each in (first, joint) if each.type in _JOINT_TYPES)
-        along, other = (T_model[each.child][:3, :3] @ each.axis for each in (joint, first))
-        if kinds == (True, False) and np.allclose(np.cross(along, other), 0, atol=1e-6):
-            multiplier = 1.0 if joint.mimic.multiplier is None else float(joint.mimic.multiplier)
-            found[joint.name] = (first.name, multiplier * float(np.sign(along @ other)))
+        turn, slide = sorted((first, joint), key=lambda each: _JOINT_TYPES[each.type] == "prismatic")
+        follower, leader = (slide, turn) if slide.mimic is not None else (turn, slide)
+        along, other = (T_model[each.child][:3, :3] @ each.axis for each in (slide, turn))
+        kinds = [_JOINT_TYPES[each.type] for each in (turn, slide)]
+        if kinds != ["revolute", "prismatic"] or follower.mimic is None or follower.mimic.joint != leader.name:
+            continue
+        multiplier = 1.0 if follower.mimic.multiplier is None else float(follower.mimic.multiplier)
+        offset = float(follower.mimic.offset or 0.0)
+        if multiplier and np.allclose(np.cross(along, other), 0, atol=1e-6):
+            ratio, start = (multiplier, offset) if follower is slide else (1 / multiplier, -offset / multiplier)
+            ends = [slide.limit and slide.limit.lower, slide.limit and slide.limit.upper]
+            low, high = sorted(((end or 0.0) - start) / ratio for end in ends)
+            turns = None if ends == [None, None] else (low, high)
+            found[slide.name] = _Slide(turn.name, ratio * float(np.sign(along @ other)), start, turns)
     return found
 
 
-def _raw_joint(path: Path, joint: Any, slide: float, ends: tuple[int, int], T: np.ndarray, unit: float) -> RawJoint:
-    """``T`` (4, 4) joint frame -> model; ``unit`` in metres; ``slide`` along the axis a radian, from another joint."""
+def _raw_joint(
+    path: Path, joint: Any, slide: _Slide | None, ends: tuple[int, int], T: np.ndarray, unit: float
+) -> RawJoint:
+    """``T`` (4, 4) joint frame -> model; ``unit`` in metres; ``slide``: what is one with it."""
     if np.shape(joint.axis) != (3,):
         raise InputError(f"{path}: the axis of joint {joint.name!r} is no direction; give three numbers")
     axis = T[:3, :3] @ joint.axis
     length = np.linalg.norm(axis)
     motion = motion_of(_JOINT_TYPES[joint.type])
-    if slide:
-        motion = Motion(motion.turn, slide).scaled(unit)
-    if not 0 < length < np.inf or abs(slide) > FARTHEST:
+    if slide is not None:
+        motion = Motion(motion.turn, slide.per_radian).scaled(unit)
+    if not 0 < length < np.inf or (slide is not None and abs(slide.per_radian) > FARTHEST):
         raise InputError(
             f"{path}: joint {joint.name!r} has no proper origin and axis; give numbers, and an axis of some length"
         )
-    limits, inverted, stated = None, False, [] if joint.limit is None else [joint.limit.lower, joint.limit.upper]
+    limits, inverted = slide and slide.turns, False
+    stated = [] if joint.limit is None else [joint.limit.lower, joint.limit.upper]
     if joint.type != "continuous" and any(limit is not None for limit in stated):
         given = [(limit or 0.0) * motion.state_unit(unit) for limit in stated]  # 0 is URDF's default
         (low, high), inverted = sorted(given), given[0] > given[1]
         if not np.abs([low, high]).max() <= FARTHEST * unit:  # not for NaN either
             raise InputError(f"{path}: the limits of joint {joint.name!r} are not finite; use a continuous joint")
         limits = low, high
-    follows = None if joint.mimic is None else joint.mimic.joint
+    follows = None if joint.mimic is None or slide is not None else joint.mimic.joint
     return RawJoint(joint.name, motion, *ends, axis / length, T[:3, 3] * unit, limits, follows, inverted)
 
 

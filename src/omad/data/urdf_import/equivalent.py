@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from omad.geometry.joint_kinds import Motion
+from omad.geometry.rigid import diagonal
 from omad.objects.category import Category
 
 from .articulation import RawArticulation, RawJoint
@@ -15,6 +16,8 @@ PARALLEL = 0.999
 """Cosine from which two axes are of one direction."""
 COAXIAL = 0.1
 """Share of the object's size by which hinges may be apart and count as one."""
+PIN = 0.3
+"""Share of its neighbours' sizes below which a link is a pin between them."""
 
 
 def with_screws(raw: RawArticulation, category: Category) -> RawArticulation:
@@ -34,17 +37,51 @@ def with_screws(raw: RawArticulation, category: Category) -> RawArticulation:
     return raw
 
 
+def without_pins(raw: RawArticulation) -> RawArticulation:
+    """What hangs on a small link by the axis by which that hangs on another one, as one half of scissors on their
+    screw, hangs on the other one itself."""
+    sizes = [diagonal(link.mesh.vertices) if len(link.mesh.faces) else 0.0 for link in raw.links]
+
+    def is_pin(link: int, *neighbours: int) -> bool:
+        return sizes[link] < PIN * min(sizes[neighbour] for neighbour in neighbours)
+
+    hung = [joint.child for joint in raw.joints if joint.parent == 0]
+    if (
+        len(hung) > 1
+        and is_pin(0, *hung)
+        and all(_one_axis(raw, raw.joints[hung[0] - 1], raw.joints[link - 1]) for link in hung)
+    ):
+        return without_pins(raw.rerooted(hung[0]))
+    for outer in raw.joints:
+        inner = next((joint for joint in raw.joints if joint.child == outer.parent), None)
+        if (
+            inner
+            and inner.motion == outer.motion
+            and is_pin(inner.child, inner.parent, outer.child)
+            and _one_axis(raw, inner, outer)
+        ):
+            return without_pins(_with(raw, replace(outer, parent=inner.parent, limits=_added(outer, inner, 1))))
+    return raw
+
+
 def rehung(raw: RawArticulation) -> Iterator[RawArticulation]:
-    """The articulation with one of two parts that turn about one hinge hung on the other one, or no longer on it. Turns
-    about one axis add up, so that it moves as before, between other limits."""
+    """The articulation with one of two parts that turn about one hinge hung on the other one, or no longer on it, or
+    the other way round. Turns about one axis add up, so that it moves as before, between other limits."""
     for joint in raw.joints:
         for other in raw.joints:
-            if other is joint or joint.motion != other.motion or not _one_axis(raw, joint, other):
+            if (
+                other is joint
+                or joint.motion != other.motion
+                or not joint.motion.turns
+                or not _one_axis(raw, joint, other)
+            ):
                 continue
             if other.parent == joint.parent:
-                yield _hung_on(raw, joint, other.child, _added(joint, other, -1))
+                yield _with(raw, replace(joint, parent=other.child, limits=_added(joint, other, -1)))
             elif other.child == joint.parent:
-                yield _hung_on(raw, joint, other.parent, _added(joint, other, 1))
+                outer = replace(joint, parent=other.parent, limits=_added(joint, other, 1))
+                yield _with(raw, outer)
+                yield _with(raw, outer, joint.turned())
 
 
 def _one_axis(raw: RawArticulation, a: RawJoint, b: RawJoint) -> bool:
@@ -73,11 +110,10 @@ def _added(joint: RawJoint, other: RawJoint, sign: int) -> tuple[float, float] |
     return joint.limits[0] + low, joint.limits[1] + high
 
 
-def _hung_on(raw: RawArticulation, joint: RawJoint, parent: int, limits: tuple[float, float] | None) -> RawArticulation:
-    """The articulation with the child of the joint on another link, parents before children again."""
-    moved = replace(joint, parent=parent, limits=limits)
-    of = {other.child: other for other in raw.joints} | {joint.child: moved}
+def _with(raw: RawArticulation, *joints: RawJoint) -> RawArticulation:
+    """The articulation with these joints to their children, parents before children again."""
+    of = {joint.child: joint for joint in (*raw.joints, *joints)}
     order = [0]
     for link in order:
-        order += [child for child, other in of.items() if other.parent == link]
+        order += [child for child, joint in of.items() if joint.parent == link]
     return raw.with_links(order, [of[link] for link in order[1:]])

@@ -22,7 +22,7 @@ from . import partnet
 from .alignment import align
 from .articulation import RawArticulation, read_articulation
 from .links import label_parts
-from .shapes import MissingMeshes
+from .shapes import PACKAGED, MissingMeshes
 
 MIRRORED = "is the other way round than the spec says: taken as its mirror image"
 """The note on a model of the other hand."""
@@ -128,7 +128,7 @@ def import_with_notes(
 def _imported(
     path: Path, category: Category, scale: float | None, missing_meshes: MissingMeshes, mesh_folder: Path | None
 ) -> ImportedModel:
-    file = _urdf_of(path) if path.is_dir() else path
+    file = urdf_of(path) if path.is_dir() else path
     normalised = partnet.is_partnet(file)
     if normalised:
         partnet.check_source_name(file.parent, category)
@@ -170,7 +170,7 @@ def scale_of(path: Path, category: Category, scale: float | None) -> float:
     """Metres per unit of a model's file, where ``scale`` is what was said of all."""
     if scale is not None:
         return scale
-    return category.metres_per_unit if partnet.is_partnet(_urdf_of(path) if path.is_dir() else path) else 1.0
+    return category.metres_per_unit if partnet.is_partnet(urdf_of(path) if path.is_dir() else path) else 1.0
 
 
 def size_doubts(models: Sequence[ObjectModel], category: Category, scales: Sequence[float]) -> list[Refusal]:
@@ -218,7 +218,7 @@ def _fitting(raw: RawArticulation, category: Category, partnet_folder: Path | No
     the ``category``; with more of them where it is jointed as that one is."""
     found, aliases, least = [], {alias for part in category.parts[1:] for alias in part.aliases}, 0
     with suppress(InputError):
-        label_parts(raw, category)
+        next(label_parts(raw, category))
         least = len(category.parts)
     for other in map(get_category, builtin_names()):
         alike = all(aliases.intersection(part.aliases) for part in other.parts[1:])
@@ -255,10 +255,11 @@ def object_paths(folder: Path | str) -> list[Path]:
     return found
 
 
-def _urdf_of(folder: Path) -> Path:
+def urdf_of(folder: Path) -> Path:
+    """The one URDF of an object's folder, which may be a ROS package. Raises InputError where there is no such one."""
     if (folder / partnet.URDF).is_file():
         return folder / partnet.URDF
-    files = _urdf_files(folder)
+    files = next(filter(None, map(_urdf_files, (folder, folder / PACKAGED))), [])
     if len(files) != 1:
         found, cure = (f"{len(files)} .urdf files", "keep one of them there") if files else ("no .urdf file", "add one")
         raise InputError(f"{folder}: {found}, expected one that names its meshes; {cure}, or give the file itself")
@@ -279,4 +280,4 @@ def is_urdf(path: Path) -> bool:
 
 
 def _urdf_files(folder: Path) -> list[Path]:
-    return sorted(filter(is_urdf, folder.iterdir()))
+    return sorted(filter(is_urdf, folder.iterdir())) if folder.is_dir() else []

@@ -34,11 +34,11 @@ from .folder import (
     ImportedModel,
     Refusal,
     import_with_notes,
-    is_urdf,
     object_name,
     object_paths,
     scale_of,
     size_doubts,
+    urdf_of,
 )
 from .shapes import MeshFiles, MissingMeshes
 
@@ -260,10 +260,10 @@ def _stamp(path: Path, mesh_folder: Path | None) -> str:
     """Changes when a file of the object does, or a mesh that it takes from elsewhere."""
     folder = path if path.is_dir() else path.parent
     files = {file for file in folder.rglob("*") if file.is_file()}
-    for urdf in [file for file in files if is_urdf(file) and file.parent == folder] if path.is_dir() else [path]:
-        named = re.findall(r"filename *= *[\"'](.*?)[\"']", read_text(urdf, errors="replace"))
-        found = filter(None, map(MeshFiles(urdf, folder=mesh_folder).find, named))
-        files |= {file for file in found if not file.is_relative_to(folder.resolve())}
+    urdf = urdf_of(path) if path.is_dir() else path
+    named = re.findall(r"filename *= *[\"'](.*?)[\"']", read_text(urdf, errors="replace"))
+    found = filter(None, map(MeshFiles(urdf, folder=mesh_folder).find, named))
+    files |= {file for file in found if not file.is_relative_to(folder.resolve())}
     stats = ((file, file.stat()) for file in sorted(files))
     text = "\n".join(f"{_place(file, folder)} {stat.st_size} {stat.st_mtime_ns}" for file, stat in stats)
     return hashlib.sha256(text.encode()).hexdigest()

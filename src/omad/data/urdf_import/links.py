@@ -12,11 +12,12 @@ from omad.common.errors import InputError
 from omad.geometry.joint_kinds import JOINT_TYPES
 from omad.geometry.kinematics import KinematicTree, joint_transforms
 from omad.geometry.mesh import Mesh, merge_meshes
-from omad.geometry.rigid import carry, diagonal
+from omad.geometry.rigid import across, box, carry, diagonal
 from omad.objects.category import Category
 
+from .alignment import MIDDLE
 from .articulation import RawArticulation, RawJoint, RawLink
-from .equivalent import rehung, with_screws
+from .equivalent import rehung, with_screws, without_pins
 
 COMPARABLE = 0.6
 """Links whose boxes' diagonals are at least in this ratio cannot be told apart by size."""
@@ -39,36 +40,98 @@ class _Assignment:
     """Sum of the box diagonals of the children."""
 
 
-def label_parts(raw: RawArticulation, category: Category) -> list[RawArticulation]:
-    """The articulation reduced to the category's parts, in their order; several where only geometry can order them.
-    Other links are folded into the part that carries them, in the state nearest to zero that their joint allows. Raises
-    InputError, without the file's name, where links and joints do not fit the category."""
-    raw = with_screws(raw, category)
+def label_parts(raw: RawArticulation, category: Category) -> Iterator[list[RawArticulation]]:
+    """Ways to take the articulation for one of the category, likeliest first: those that agree with most names, and of
+    them the one that hangs as in the file. Each is reduced to the category's parts, in their order; several where only
+    geometry can order them. Other links are folded into the part that carries them, in the state nearest to zero that
+    their joint allows. Raises InputError, without the file's name, where links and joints do not fit the category."""
+    raw = with_screws(without_pins(raw), category)
     if (
         ways := prod(perm(len(_links(raw, kind, category)), _wanted(category, kind)) for kind in JOINT_TYPES)
     ) > MOST_WAYS:
         raise InputError(f"its joints fit a {category.name} in {ways} ways; leave out those that are of none")
-    roots = [0] + [link for link in range(1, len(raw.links)) if _named(raw.links[link], category, 0)]
-    hung = [raw.rerooted(root) for root in roots]
-    found = [assignment for each in hung for assignment in _assignments(each, category)]
-    if not found:
-        found = [a for each in hung for other in rehung(each) for a in _assignments(other, category)]
-    if not found:
+    plain, turned = [*_hung(raw, category)], [*_turned(raw, category)]
+    named = max((a.named for way in (*plain, *turned) for a in way), default=0)
+    none = True
+    for lazy in (plain, _hung_otherwise(raw, category), turned):
+        found = [*lazy]
+        named = max([named, *(a.named for way in found for a in way)])
+        for way in found:
+            if likely := _telling([a for a in way if a.named == named], category):
+                best, rivals = _best(likely)
+                if rivals and none:
+                    raise InputError(_rivals_of(best, rivals, category))
+                if not rivals:
+                    none &= found is turned
+                    yield [_folded(a, category) for a in likely if set(a.links) == set(best.links)]
+    if none:
         raise InputError(_why_none(raw, category))
-    most = max(a.named for a in found)
-    found = [a for a in found if a.named == most]
-    found = [a for a in found if a.raw is found[0].raw]  # the file's own root, if it may be
-    best = max(found, key=lambda a: a.size)
-    rivals = [a for a in found if set(a.links) != set(best.links) and _comparable(a, best)]
-    if rivals:
-        count, few = len(set(best.links[1:]).union(*(a.links[1:] for a in rivals))), len(best.links) - 1
-        said = f"{count} links fit the part(s) {_moving(category)} equally well; {category.name} has {few}"
-        raise InputError(f"{said}: leave it out, or give a category that has {count}")
-    return [_folded(a, category) for a in found if set(a.links) == set(best.links)]
+
+
+def _hung(raw: RawArticulation, category: Category) -> Iterator[list[_Assignment]]:
+    """Of the tree as in the file, then hung up at links called like the base."""
+    for each in _from_bases(raw, category):
+        yield [*_assignments(each, category)]
+
+
+def _hung_otherwise(raw: RawArticulation, category: Category) -> Iterator[list[_Assignment]]:
+    """With parts on one hinge hung on each other, or no longer."""
+    for each in _from_bases(raw, category):
+        for other in rehung(each):
+            yield [*_assignments(other, category)]
+
+
+def _turned(raw: RawArticulation, category: Category) -> Iterator[list[_Assignment]]:
+    """Hung up at other links, from which the file's own root is a part that moves and carries none: some write a tree
+    from the door."""
+    types, carriers = {joint.type for joint in category.joints}, {joint.parent for joint in category.joints}
+    for joint in raw.joints:
+        if joint.type in types and _may_be(raw.links[joint.child], category, 0):
+            turned = raw.rerooted(joint.child)
+            root = next(place for place, link in enumerate(turned.links) if link is raw.links[0])
+            yield [a for a in _assignments(turned, category) if root in a.links and a.links.index(root) not in carriers]
+
+
+def _from_bases(raw: RawArticulation, category: Category) -> list[RawArticulation]:
+    roots = [link for link in range(1, len(raw.links)) if _named(raw.links[link], category, 0)]
+    return [raw, *(raw.rerooted(root) for root in roots)]
+
+
+def _telling(way: list[_Assignment], category: Category) -> list[_Assignment]:
+    """Those without what turns about its own middle, as turntables, drums and swivels do, for a part that reaches
+    somewhere, unless it is called like that; all, where there are no others."""
+    reaching = [part for part, spec in enumerate(category.joints, 1) if spec.reach is not None and spec.motion.turns]
+
+    def spins(raw: RawArticulation, link: int, part: int) -> bool:
+        pivot, plane = raw.joints[link - 1].pivot, np.stack(across(raw.joints[link - 1].axis), 1)
+        low, high = box((raw.links[link].mesh.vertices - pivot) @ plane)
+        centred = np.linalg.norm(low + high) < 2 * MIDDLE * (high - low).max()
+        return bool(centred) and not _named(raw.links[link], category, part)
+
+    return [a for a in way if not any(spins(a.raw, a.links[part], part) for part in reaching)] or way
+
+
+def _best(way: list[_Assignment]) -> tuple[_Assignment, list[_Assignment]]:
+    """The one of the largest links, and those of others that are hardly smaller."""
+    best = max(way, key=lambda a: a.size)
+    return best, [a for a in way if set(a.links) != set(best.links) and _comparable(a, best)]
+
+
+def _rivals_of(best: _Assignment, rivals: list[_Assignment], category: Category) -> str:
+    count, few = len(set(best.links[1:]).union(*(a.links[1:] for a in rivals))), len(best.links) - 1
+    said = f"{count} links fit the part(s) {_moving(category)} equally well; {category.name} has {few}"
+    return f"{said}: leave it out, or give a category that has {count}"
 
 
 def _named(link: RawLink, category: Category, part: int) -> bool:
-    return any(alias in " ".join(link.names).lower() for alias in category.parts[part].aliases)
+    """Whether an alias is in the link's name; inside of the category's own it does not count: no top in laptop_base."""
+    said, words = " ".join(link.names).lower(), re.findall("[a-z]+", category.name.lower())
+
+    def telling(alias: str) -> str:
+        around = [re.escape(word) for word in words if alias in word and alias != word]
+        return re.sub("|".join(around), "", said) if around else said
+
+    return any(alias in telling(alias) for alias in category.parts[part].aliases)
 
 
 def _control(link: RawLink) -> str | None:
@@ -86,15 +149,22 @@ def _may_be(link: RawLink, category: Category, part: int) -> bool:
 def _assignments(raw: RawArticulation, category: Category) -> Iterator[_Assignment]:
     """Every way to find the category's tree in ``raw``, its root being the base."""
 
+    def carried_by(link: int, links: tuple[int, ...]) -> int:
+        return _carrier(raw, raw.joints[link - 1].parent, links)
+
     def extend(links: tuple[int, ...]) -> Iterator[tuple[int, ...]]:
         part = len(links)
         if part == len(category.parts):
-            yield links
+            if all(
+                carried_by(link, links) == links[spec.parent]
+                for link, spec in zip(links[1:], category.joints, strict=True)
+            ):
+                yield links
             return
         spec = category.joints[part - 1]
         for joint in raw.joints:
             fits = joint.type == spec.type and _may_be(raw.links[joint.child], category, part)
-            if joint.child not in links and fits and _carrier(raw, joint.parent, links) == links[spec.parent]:
+            if joint.child not in links and fits and carried_by(joint.child, links) == links[spec.parent]:
                 yield from extend((*links, joint.child))
 
     for links in extend((0,)):

@@ -1,6 +1,7 @@
 """The shapes of a URDF's links: meshes in files, and simple solids."""
 
 import io
+import os
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -19,6 +20,8 @@ MissingMeshes = Literal["refuse", "skip"]
 """What to do about mesh files that a URDF names and that are not there."""
 MESH_FORMATS = (".obj", ".stl", ".dae", ".ply", ".glb", ".gltf", ".off")
 """Others that trimesh knows unpack archives or start programs."""
+PACKAGED = "urdf"
+"""Folder of a ROS package, with meshes beside it, in which its URDF lies."""
 LARGEST = 1e6
 """Of a coordinate, in the file's own unit."""
 LONGEST_LINE = 2**20
@@ -38,21 +41,39 @@ class MeshFiles:
     """Names of those without a triangle."""
 
     def find(self, filename: str) -> Path | None:
-        """The file in one of these folders, with or without its package's name; None where it is in none."""
-        name = Path(re.sub(r"^(package://|file:///(?=[A-Za-z]:)|file://)", "", filename))
-        names = [name, Path(*name.parts[1:])] if filename.startswith("package://") else [name]
-        beside = self.urdf.resolve().parent
-        for root in self._roots():
-            within = [place for place in (beside, *beside.parents) if place.is_relative_to(root)]
-            for place in (place / each for place in within or [root] for each in names):
-                if is_file(place) and (found := place.resolve()).is_relative_to(root):
-                    return found
+        """The file in one of these folders, with or without its package's name, in capitals or not, as Windows does not
+        tell; None where it is in none."""
+        plain = re.sub(r"^((package|model)://|file:///(?=[A-Za-z]:)|file://)", "", filename).replace("\\", "/")
+        name, beside = Path(plain), self.urdf.resolve().parent
+        names = [name, Path(*name.parts[1:])] if re.match("(package|model)://", filename) else [name]
+        for as_on_disk in (lambda place, root: place, _any_case):
+            for root in self._roots():
+                within = [place for place in (beside, *beside.parents) if place.is_relative_to(root)]
+                for place in (as_on_disk(place / each, root) for place in within or [root] for each in names):
+                    if is_file(place) and (found := place.resolve()).is_relative_to(root):
+                        return found
         return None
 
     def _roots(self) -> list[Path]:
         beside = self.urdf.resolve().parent
-        package = next((place for place in beside.parents if is_file(place / "package.xml")), beside)
+        usual = beside.parent if beside.name == PACKAGED else beside
+        package = next((place for place in beside.parents if is_file(place / "package.xml")), usual)
         return [package] if self.folder is None else [package, self.folder.resolve()]
+
+
+def _any_case(place: Path, root: Path) -> Path:
+    """A path as it is written on the disk, as far as it lies in the folder ``root``."""
+    found = Path(place.anchor)
+    for part in place.parts[1:]:
+        if (
+            part != ".."
+            and not os.path.lexists(found / part)
+            and found.resolve().is_relative_to(root)
+            and found.is_dir()
+        ):
+            part = next((each.name for each in found.iterdir() if each.name.lower() == part.lower()), part)
+        found /= part
+    return found
 
 
 def link_mesh(link: Any, T_model_link: np.ndarray, files: MeshFiles) -> Mesh:
