@@ -243,6 +243,12 @@ def test_an_answer_from_distances_is_doubtful(tmp_path, capsys, monkeypatch):
     found = answer(capsys, "estimate", "depth.png", *LAPTOP, *K_OPTION, "--mask", "mask.png")
     assert found["doubtful"]
     assert "distance from the camera's centre" in next(c for c in found["checks"] if c["name"] == "depth")["what"]
+    for name in ("a", "b"):
+        Path(f"{name}.png").write_bytes(Path("depth.png").read_bytes())
+        Image.fromarray(mask).save(f"{name}.mask.png")
+        np.savetxt(f"{name}.txt", np.eye(4))
+    both = answer(capsys, "estimate", "a.png", "b.png", *LAPTOP, *K_OPTION, "--together", "a.txt", "b.txt")["results"]
+    assert all("depth" in [check["name"] for check in each["checks"]] for each in both)
     found = answer(capsys, "detect", "depth.png", *K_OPTION, "--categories", "laptop")
     assert any("distance from the camera's centre" in warning for warning in found["warnings"])
 

@@ -146,10 +146,11 @@ class Solver:
             views[0], estimates[0], self.known, lambda _, known: chosen(views, known, T_world_camera=T_world_camera)[0]
         )
         rows = zip(views, estimates, strict=True)
-        return [
-            Found.of(no_surer(e, view.likelihood), [*doubts(view, e, depth_scale), *contradictions(e), *of_all])
-            for view, e in rows
-        ]
+        found = []
+        for view, estimate in rows:
+            checks = [*doubts(view, estimate, depth_scale), *contradictions(estimate), *depth_doubts(view), *of_all]
+            found.append(Found.of(no_surer(estimate, view.likelihood), checks))
+        return found
 
     def find(self, frame: Observation, box: Sequence[float] | None) -> Observation:
         """The object in a whole frame. Raises InputError."""
