@@ -43,9 +43,18 @@ def answer(capsys, *arguments: str, code: int = 0) -> dict:
     return json.loads(capsys.readouterr().out, parse_constant=lambda name: f"{name} is not JSON")
 
 
+CACHES = {"__pycache__", ".pytest_cache", ".hypothesis"}
+"""In which tests beside this one keep what they compiled or saw, where the current folder is the checkout."""
+
+
+def _files() -> set[Path]:
+    """Below the current folder."""
+    return {path for path in Path().rglob("*") if path.is_file() and not CACHES & {*path.parts}}
+
+
 def refused(capsys, *arguments: str) -> str:
     """The one line on stderr that a bad input gives, with exit code 2, nothing on stdout and no file written."""
-    before = set(Path().rglob("*"))
+    before = _files()
     capsys.readouterr()
     assert run([*arguments]) == 2
     captured = capsys.readouterr()
@@ -54,5 +63,5 @@ def refused(capsys, *arguments: str) -> str:
     assert len(lines) == 1, captured.err
     assert lines[0].startswith("omad: ")
     assert captured.out == ""
-    assert not [path for path in set(Path().rglob("*")) - before if path.is_file()]
+    assert not _files() - before
     return lines[0]
