@@ -372,39 +372,3 @@ def test_a_folder_of_another_import_is_left_alone(capsys):
     assert "scale" in refused(capsys, "import", "models", *WITH, "--output", "ours", "--scale", "2")
     Path("ours/import.json").write_text("{")
     assert "import.json: " in refused(capsys, "import", "models", *WITH, "--output", "ours")
-
-
-def test_a_model_that_lies_among_upright_ones_is_named():
-    """A drop-down microwave, which stands upright hinged at the bottom, is laid on its side to hinge on the left."""
-    write_microwaves(Path("models"), 3)
-    lying = microwave("drop-down")
-    quarter = Z_UP @ np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    parts = tuple(part.warped(lambda vertices: vertices @ quarter.T) for part in lying.parts)
-    lying = replace(lying, parts=parts, axes=lying.axes @ quarter.T, pivots=lying.pivots @ quarter.T)
-    write_urdf(lying, Path("models/drop-down/drop-down.urdf"))
-    for _ in range(2):  # and again where all is there already
-        summary = import_folder(Path("models"), MICROWAVE, Path("ours"))
-        assert len(summary.used) == 4
-        assert [note.name for note in summary.notes] == ["drop-down"]
-        assert "with +z" in summary.notes[0].reason
-
-
-def test_a_model_that_lies_alone_is_named():
-    """The same with y up, as nothing but its own file tells."""
-    upright = microwave("drop-down")
-    over = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    parts = tuple(part.warped(lambda vertices: vertices @ over.T) for part in upright.parts)
-    write_urdf(replace(upright, parts=parts, axes=upright.axes @ over.T, pivots=upright.pivots @ over.T), Path("lone"))
-    [note] = import_folder(Path("lone"), MICROWAVE, Path("ours")).notes
-    assert "x up, most files have z or y up" in note.reason
-
-
-def test_of_a_mirror_image_the_field_that_takes_it_is_named():
-    write_microwaves(Path("ovens"), 3)
-    write_urdf(seen_from_elsewhere(microwave("odd").mirrored(), np.zeros(1)), Path("ovens/odd/odd.urdf"))
-    [note] = import_folder(Path("ovens"), MICROWAVE, Path("out")).notes
-    assert note.name == "odd"
-    assert "either_hand = true" in note.reason
-    [note] = import_folder(Path("ovens"), replace(MICROWAVE, either_hand=True), Path("both")).notes
-    assert "mirror image" in note.reason
-    assert "either_hand" not in note.reason

@@ -1,15 +1,21 @@
 """Of models that do not fit, and of those that were understood otherwise than meant, it is said what may help."""
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from helpers.own_models import box
+import omad
+from helpers.own_models import SPECS, Z_UP, box, microwave, seen_from_elsewhere, write_microwaves
 from omad.common.errors import InputError
 from omad.data.urdf_import.folder import import_model, load_folder
+from omad.data.urdf_import.importing import import_folder
 from omad.objects.category import Category, JointSpec, PartSpec
 from omad.objects.model import ObjectModel
 from omad.objects.urdf import write_urdf
 
+MICROWAVE = omad.get_category(SPECS / "microwave.toml")
 CUPBOARD = Category(
     name="cupboard",
     metres_per_unit=0.5,
@@ -60,3 +66,46 @@ def test_limits_the_wrong_way_round_are_exchanged_and_noted(tmp_path):
     found = load_folder(tmp_path, CUPBOARD)
     assert [note.reason for note in found.notes] == ["slide has its lower limit above the upper: taken as exchanged"]
     assert np.allclose(found.models[0].limits[0], [0, 0.3])
+
+
+@pytest.fixture
+def elsewhere(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+def drop_down(R_file_upright: np.ndarray) -> ObjectModel:
+    """A microwave that stands upright hinged at the bottom, which is laid on its side to hinge on the left."""
+    lying = microwave("drop-down")
+    R = R_file_upright @ np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    parts = tuple(part.warped(lambda vertices: vertices @ R.T) for part in lying.parts)
+    return replace(lying, parts=parts, axes=lying.axes @ R.T, pivots=lying.pivots @ R.T)
+
+
+@pytest.mark.usefixtures("elsewhere")
+def test_a_model_that_lies_among_upright_ones_is_named():
+    write_microwaves(Path("models"), 3)
+    write_urdf(drop_down(Z_UP), Path("models/drop-down/drop-down.urdf"))
+    for _ in range(2):  # and again where all is there already
+        summary = import_folder(Path("models"), MICROWAVE, Path("ours"))
+        assert len(summary.used) == 4
+        assert [note.name for note in summary.notes] == ["drop-down"]
+        assert "with +z" in summary.notes[0].reason
+
+
+@pytest.mark.usefixtures("elsewhere")
+def test_a_model_that_lies_alone_is_named():
+    write_urdf(drop_down(np.eye(3)), Path("lone"))
+    [note] = import_folder(Path("lone"), MICROWAVE, Path("ours")).notes
+    assert "x up, most files have z or y up" in note.reason
+
+
+@pytest.mark.usefixtures("elsewhere")
+def test_of_a_mirror_image_the_field_that_takes_it_is_named():
+    write_microwaves(Path("ovens"), 3)
+    write_urdf(seen_from_elsewhere(microwave("odd").mirrored(), np.zeros(1)), Path("ovens/odd/odd.urdf"))
+    [note] = import_folder(Path("ovens"), MICROWAVE, Path("out")).notes
+    assert note.name == "odd"
+    assert "either_hand = true" in note.reason
+    [note] = import_folder(Path("ovens"), replace(MICROWAVE, either_hand=True), Path("both")).notes
+    assert "mirror image" in note.reason
+    assert "either_hand" not in note.reason

@@ -259,3 +259,10 @@ def test_what_moves_freely_in_the_world_stands_in_it(kind, tmp_path):
     )
     with pytest.raises(InputError, match=f"joint 'free' has the type '{kind}'; give revolute"):
         import_model(file, EVERY["oven"])
+
+
+def test_of_a_tree_that_begins_at_a_drawer_what_is_wrong_with_it_is_said(tmp_path):
+    chest = generate(EVERY["drawer"], 0)
+    file = write_urdf(hung_from(replace(chest, limits=chest.limits * 0.02), 1), tmp_path)
+    with pytest.raises(InputError, match=r"joint 'joint_0' moves 0 to 0.003.* m from its rest state"):
+        import_model(file, EVERY["drawer"])

@@ -57,13 +57,15 @@ def label_parts(raw: RawArticulation, category: Category) -> Iterator[list[RawAr
         found = [*lazy]
         named = max([named, *(a.named for way in found for a in way)])
         for way in found:
-            if likely := _telling([a for a in way if a.named == named], category):
-                best, rivals = _best(likely)
-                if rivals and none:
-                    raise InputError(_rivals_of(best, rivals, category))
-                if not rivals:
-                    none &= found is turned
-                    yield [_folded(a, category) for a in likely if set(a.links) == set(best.links)]
+            likely = _telling([a for a in way if a.named == named], category)
+            if not likely:
+                continue
+            best, rivals = _best(likely)
+            if not rivals:
+                none = False
+                yield [_folded(a, category) for a in likely if set(a.links) == set(best.links)]
+            elif none:
+                raise InputError(_rivals_of(best, rivals, category))
     if none:
         raise InputError(_why_none(raw, category))
 
