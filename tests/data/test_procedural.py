@@ -336,3 +336,41 @@ def test_some_boxes_are_shallow_inside(objects):
     shares = np.array([depth_share(model) for model in objects["lidded_box"]])
     assert 0.08 < (shares < 0.5).mean() < 0.3
     assert np.median(shares) > 0.8
+
+
+def test_some_refrigerators_have_rounded_upper_corners(objects):
+    def corner_is_free(model: ObjectModel) -> bool:
+        (x, y, _), vertices = model.part_boxes()[0, 1], model.parts[0].vertices
+        return bool(np.abs(vertices[:, :2] - [x, y]).max(1).min() > 0.01)
+
+    for name in ("refrigerator", "refrigerator_two_doors"):
+        assert 0.03 < np.mean([corner_is_free(model) for model in objects[name]]) < 0.2
+
+
+def test_some_staplers_hide_their_hinge_in_the_lid(objects):
+    """They have no cheeks beside it: all that their bases have above its underside is narrower."""
+
+    def hidden(model: ObjectModel) -> bool:
+        base, lid = (part.vertices for part in model.parts[:2])
+        above = base[base[:, 1] > model.pivots[0, 1] - 0.002]
+        return len(above) == 0 or bool(above[:, 0].max() < 0.95 * lid[:, 0].max())
+
+    assert 0.03 < np.mean([hidden(model) for model in objects["stapler"]]) < 0.2
+
+
+def test_some_pliers_are_two_plates_one_upon_the_other(objects):
+    def apart(model: ObjectModel) -> bool:
+        """Whether the ends of the handles lie at two heights."""
+        ends = [part.vertices[part.vertices[:, 2] < np.quantile(part.vertices[:, 2], 0.1)] for part in model.parts]
+        return bool(ends[0][:, 1].min() > ends[1][:, 1].max() - 1e-9)
+
+    assert 0.03 < np.mean([apart(model) for model in objects["pliers"]]) < 0.25
+
+
+def test_some_ovens_are_deeper_above(objects):
+    def step(model: ObjectModel) -> float:
+        body = model.parts[0].vertices
+        low = body[body[:, 1] < body[:, 1].min() + 0.15]  # feet, and the foot of the case
+        return float(low[:, 2].min() - body[:, 2].min())
+
+    assert 0.03 < np.mean([step(model) > 0.01 for model in objects["oven"]]) < 0.2

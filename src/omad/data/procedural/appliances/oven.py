@@ -7,7 +7,7 @@ import numpy as np
 from omad.geometry.mesh import Mesh, merge_meshes
 from omad.objects.category import Category
 
-from ..shapes import JointedParts, box, cylinder, slab
+from ..shapes import JointedParts, box, cylinder, points, slab
 from ..vocabulary.cases import Case, Rect, controls
 from ..vocabulary.doors import fitted, leaf, liner
 from ..vocabulary.handles import handle
@@ -17,7 +17,8 @@ from ..vocabulary.stands import feet
 
 def generate(rng: np.random.Generator, category: Category, unusual: np.random.Generator | None) -> JointedParts:
     """One oven, door closed, hinged below. Body on y = 0 .. height, its front plane at z = 0, the room at +z. Unusual
-    ones have a tall drawer flush with the door, and a hob that juts out."""
+    ones have a tall drawer flush with the door, a hob that juts out to the front or to the back, and a back that is
+    stepped."""
     cooker = rng.random() < 0.65
     width = rng.uniform(0.5, 0.9) if cooker else rng.uniform(0.42, 0.75)
     height = rng.uniform(0.7, 1.0) if cooker else width * rng.uniform(0.55, 1.1)
@@ -38,10 +39,13 @@ def generate(rng: np.random.Generator, category: Category, unusual: np.random.Ge
 
     crude = rng.random() < 0.12
     body += [front.slab(-depth, 0.0)] if crude else case.walls()
+    behind = depth * unusual.choice([0.0, unusual.uniform(0.0, 0.15)]) if unusual and cooker else 0.0
+    if behind:  # the body is deeper above
+        body.append(replace(front, y0=height * unusual.uniform(0.1, 0.9)).slab(-depth - behind, -depth))
     sink = thickness - hinge + 0.004  # how far the shut door's foot comes down
     body += _fronts(rng, front, outer.y0 - sink, outer.y1 + 0.002, thickness, hinge, unusual)
     if cooker:
-        body += _hob(rng, width, height, depth, thickness, unusual.uniform(0.0, 0.05) if unusual else 0.0)
+        body += _hob(rng, width, height, depth, thickness, behind, unusual)
     body += feet(rng, width / 2, depth, 0.08)
     if not crude:
         for level in sorted(rng.uniform(0.1, 0.8, int(rng.integers(0, 4)))):
@@ -76,14 +80,12 @@ def _fronts(rng: np.random.Generator, front: Rect, low, high, thickness, hinge, 
     return solids
 
 
-def _hob(
-    rng: np.random.Generator, width: float, height: float, depth: float, thickness: float, lip: float
-) -> list[Mesh]:
-    """The top of a cooker, flat or with burners and grates, and what stands up behind it; ``lip``: how much farther it
-    juts out."""
+def _hob(rng: np.random.Generator, width, height, depth, thickness, behind, unusual) -> list[Mesh]:
+    """The top of a cooker, flat or with burners and grates, and what stands up behind it, upright or slanted."""
+    lip = unusual.uniform(0.0, 0.05) if unusual else 0.0  # how much farther it juts out
     over, thick = lip + thickness * rng.uniform(0.0, 1.2), rng.uniform(0.005, 0.05)
     x, y = width / 2 + rng.uniform(0.0, 0.01), height + thick
-    solids = [slab((-x, height, -depth), (x, y, over), 1, rng.uniform(0.0, 0.02))]
+    solids = [slab((-x, height, -depth - behind), (x, y, over), 1, rng.uniform(0.0, 0.02))]
     if rng.random() < 0.7:
         rise, columns = rng.uniform(0.003, 0.03), int(rng.integers(2, 4))
         grates = rng.random() < 0.4
@@ -99,8 +101,15 @@ def _hob(
                     solids.append(box((u - bar, y, w - 1.2 * r), (u + bar, y + rise, w + 1.2 * r)))
     if rng.random() < 0.5:
         rise, thick = rng.uniform(0.04, 0.28), rng.uniform(0.015, 0.1)
-        solids.append(box((-x, y, -depth), (x, y + rise, -depth + thick)))
+        panel = [box((-x, y, -depth), (x, y + rise, -depth + thick))]
         if rng.random() < 0.6:
-            panel = Rect(-0.8 * x, 0.8 * x, y + 0.3 * rise, y + 0.9 * rise)
-            solids += controls(rng, panel, -depth + thick, 6)
+            face = Rect(-0.8 * x, 0.8 * x, y + 0.3 * rise, y + 0.9 * rise)
+            panel += controls(rng, face, -depth + thick, 6)
+        if unusual:
+            share, slant = [unusual.uniform(0.75, 1.0), 1.0, 1.0], unusual.choice([0.0, unusual.uniform(0.0, 0.5)])
+            back = behind + unusual.uniform(0.0, 0.8) * thick
+            panel = [
+                solid.warped(lambda at: at * share - points(0.0, 0.0, back + slant * (at[:, 1] - y))) for solid in panel
+            ]
+        solids += panel
     return solids

@@ -9,27 +9,34 @@ from ..shapes import JointedParts, Y, cylinder, ellipse, loft, points, rounded_r
 
 
 def generate(rng: np.random.Generator, category: Category, unusual: np.random.Generator | None) -> JointedParts:
-    """One pair, shut, the pivot at the origin, the jaws along +z. The base has its jaw on the side of +x."""
+    """One pair, shut, the pivot at the origin, the jaws along +z. The base has its jaw on the side of +x. Unusual ones
+    are two plates, one upon the other from end to end."""
     length = rng.uniform(0.11, 0.26)
     thick = length * rng.uniform(0.03, 0.065)
     disc = length * rng.uniform(0.045, 0.085)  # around the pivot
     seed = int(rng.integers(2**31))
-    halves = [_half(np.random.default_rng(seed), length, thick, disc, level) for level in (1, -1)]
+    squash = unusual.uniform(0.3, 0.5) if unusual else None
+    halves = [_half(np.random.default_rng(seed), length, thick, disc, level, squash) for level in (1, -1)]
     base, child = halves[0], [solid.mirrored() for solid in halves[1]]
     reach, radius = thick * rng.uniform(0.52, 0.75), disc * rng.uniform(0.25, 0.6)
     base += [cylinder((0, s * 0.5 * thick, 0), (0, s * reach, 0), radius, 14) for s in (-1, 1)]  # the rivet's heads
     return JointedParts((merge_meshes(base), merge_meshes(child)), np.zeros((1, 3)))
 
 
-def _half(rng: np.random.Generator, length: float, thick: float, disc: float, level: int) -> list[Mesh]:
-    """Jaw, joint and handle; the joint is in the upper half of the thickness, or in the lower one."""
+def _half(rng: np.random.Generator, length: float, thick: float, disc: float, level: int, squash) -> list[Mesh]:
+    """Jaw, joint and handle; the joint is in the upper half of the thickness, or in the lower one, and all of them,
+    where they are to be squashed to a share of their own."""
     jaw = length * rng.uniform(0.14, 0.38)
     gap = 0.0003 + 0.012 * disc
     solids = [cylinder((0, level * gap / 2, 0), (0, level * thick / 2, 0), disc, 20)]
     solids.append(_jaw(rng, jaw, thick, disc, gap))
     solids.append(_root(thick, disc, gap, level))
     handle, spread = length - jaw - disc, length * rng.uniform(0.05, 0.13)
-    return solids + _handle(rng, handle, spread, thick, disc, gap, level)
+    solids += _handle(rng, handle, spread, thick, disc, gap, level)
+    if squash is None:
+        return solids
+    flat, up = np.array([1.0, squash, 1.0]), np.array([0.0, level * thick / 4, 0.0])
+    return [solid.warped(lambda vertices: vertices * flat + up) for solid in solids]
 
 
 def _jaw(rng: np.random.Generator, jaw: float, thick: float, disc: float, gap: float) -> Mesh:

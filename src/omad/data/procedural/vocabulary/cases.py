@@ -7,7 +7,7 @@ import numpy as np
 
 from omad.geometry.mesh import Mesh
 
-from ..shapes import box, cylinder
+from ..shapes import box, cylinder, hexahedron, loft
 
 
 @dataclass(frozen=True)
@@ -44,6 +44,14 @@ class Rect:
     def slab(self, back: float, front: float) -> Mesh:
         """The box over it between two planes."""
         return box((self.x0, self.y0, back), (self.x1, self.y1, front))
+
+    def arched(self, radius: float, right: bool = True) -> np.ndarray:
+        """Its outline (n, 2), counter-clockwise, the upper corners, or the left one alone, rounded."""
+        turns = np.linspace(0.0, np.pi / 2, 7)
+        corner = radius * np.stack([np.cos(turns), np.sin(turns)], 1)
+        top_left = [self.x0 + radius, self.y1 - radius] + corner[::-1] * [-1, 1]
+        top_right = [self.x1 - radius, self.y1 - radius] + corner if right else [[self.x1, self.y1]]
+        return np.concatenate([[[self.x0, self.y0], [self.x1, self.y0]], top_right, top_left])
 
 
 @dataclass(frozen=True)
@@ -86,6 +94,14 @@ class Case:
             box((mouth.x0, mouth.y1, -self.depth), (mouth.x1, front.y1, 0)),
             mouth.slab(-self.depth, -self.depth + self.back),
         ]
+
+    def arched_walls(self, radius: float) -> list[Mesh]:
+        """Those of a case whose upper corners are rounded by so much, and its mouth's with them."""
+        outer, inner = self.front.arched(radius), self.mouth.arched(max(radius - self.top, 1e-3))
+        quads = np.stack([outer, np.roll(outer, -1, 0), np.roll(inner, -1, 0), inner], 1)
+        ends = np.insert(quads, 2, -self.depth, 2), np.insert(quads, 2, 0.0, 2)
+        back = [np.insert(inner, 2, z, 1) for z in (-self.depth, -self.depth + self.back)]
+        return [*map(hexahedron, np.concatenate(ends, 1)), loft(np.stack(back))]
 
 
 def shelves(rng: np.random.Generator, case: Case, most: int, gap: float = 0.0) -> list[Mesh]:
