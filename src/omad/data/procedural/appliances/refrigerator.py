@@ -17,7 +17,7 @@ from ..vocabulary.stands import feet
 def generate(rng: np.random.Generator, category: Category, unusual: np.random.Generator | None) -> JointedParts:
     """One refrigerator, shut; as many doors as the category has joints, the first hinged at the left, the second at the
     right. Body on y = 0 .. height, its front plane at z = 0, the room at +z. Unusual ones have rounded upper
-    corners, or thin doors, and wide gaps."""
+    corners, or thin doors; wide gaps; hinges at the body's sides."""
     pair = len(category.joints) == 2
     width = rng.uniform(0.7, 1.1) if pair else rng.uniform(0.42, 0.78)
     height = width * rng.uniform(1.35, 2.3) if pair else width * rng.uniform(1.1, 2.9)
@@ -63,7 +63,8 @@ def generate(rng: np.random.Generator, category: Category, unusual: np.random.Ge
             half = rng.uniform(0.01, 0.03)
             body.append(box((split - half, mouth.y0, -depth + wall), (split + half, mouth.y1, -0.01)))
             doors = [(outer, inner.grown(-half, 0.0)) for outer, inner in doors]
-    return _hung(rng, body, doors, thickness, crude, width, arch)
+    behind = unusual.choice([0.0, unusual.uniform(0.0, 0.1)]) if unusual else 0.0
+    return _hung(rng, body, doors, thickness, crude, width, arch, behind)
 
 
 def _hung(
@@ -74,8 +75,10 @@ def _hung(
     crude: bool,
     width: float,
     arch: float,
+    behind: float,
 ) -> JointedParts:
-    """With its doors, all of one make, the second one as the mirror image of a left one."""
+    """With its doors, all of one make, the second one as the mirror image of a left one; they may hang from the body's
+    sides, so far behind its front."""
     made, moving, pivots = int(rng.integers(2**31)), [], []
     kind, grip, bulge = rng.uniform(0.0, 1.0), rng.uniform(0.7, 1.2), rng.uniform(0.02, 0.08)
     for number, (outer, mouth) in enumerate(doors):
@@ -83,6 +86,8 @@ def _hung(
         turned = number == 1
         outer, mouth = (outer.mirrored(), mouth.mirrored()) if turned else (outer, mouth)
         pivot = pivot_at_side(alike, outer, thickness, False)
+        if behind:
+            pivot = np.array([outer.x0 + 0.1 * behind, 0.0, -behind])
         solids = leaf(alike, outer, 0.001, thickness, windows=0.06, panels=0.15)
         if arch:
             outline = outer.arched(arch, right=len(doors) == 1)

@@ -35,6 +35,8 @@ def generate(rng: np.random.Generator, category: Category, unusual: np.random.Ge
     back, front = -length / 2, length / 2
     inside = width * rng.uniform(0.5, 0.8)
     leans, dips = rng.choice([0.0, rng.uniform(0.0, 0.08)]), rng.choice([0.0, rng.uniform(0.0, 0.13)])
+    if unusual:
+        leans = unusual.uniform(0.0, 0.08)
     low = plate + gap + 0.85 * length * (leans + dips)
     hinge_y = low + tall * rng.uniform(0.2, 1.2)
     hinge_z = back + length * rng.uniform(0.03, 0.12)
