@@ -130,7 +130,7 @@ def test_a_trained_variant_is_kept(tmp_path):
 
     checkpoint = run()
     net = load(OmadNet, checkpoint)
-    assert net.prior.basis_size == 3
+    assert net.prior.shape_size == 3
     before = (checkpoint / "model.safetensors").stat().st_mtime_ns
     assert run() == checkpoint
     assert (checkpoint / "model.safetensors").stat().st_mtime_ns == before

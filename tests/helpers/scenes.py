@@ -72,13 +72,16 @@ def random_prior(category: Category, draw: torch.Generator) -> OmadPrior:
     return prior
 
 
-def scene(category: Category, batch: int = 12, noise: float = 0.0, seed: int = 0) -> Scene:
+def scene(category: Category, batch: int = 12, noise: float = 0.0, seed: int = 0, loose: int = 0) -> Scene:
+    """``loose``: numbers that beta ends in."""
     draw = torch.Generator().manual_seed(seed)
 
     def normal(*shape: int) -> Tensor:
         return torch.randn(shape, generator=draw, dtype=torch.float64)
 
     prior = random_prior(category, draw)
+    if loose:
+        prior.loosen(0.05 * normal(len(category.joints), 3, loose))
     root = torch.linalg.cholesky(prior.beta_covariance)
     beta = prior.beta_mean + normal(batch, prior.basis_size) @ root.T
     limits = torch.tensor([joint.limits for joint in category.joints], dtype=torch.float64)

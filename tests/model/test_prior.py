@@ -121,3 +121,31 @@ def test_same_generator_same_prior_and_sizes_can_be_chosen() -> None:
         assert torch.equal(a, b)
     assert "beta_mean" in one.state_dict()
     assert "beta_covariance" in one.state_dict()
+
+
+def test_loose_numbers_move_pivots_where_joints_turn_and_nothing_else() -> None:
+    prior, moves = prior_of(SWAPPING), torch.randn(2, 3, 2, generator=torch.Generator().manual_seed(1))
+    plain, beta = prior_of(SWAPPING), torch.randn(4, 7, generator=torch.Generator().manual_seed(2))
+    prior.loosen(moves)
+    assert (prior.basis_size, prior.shape_size, plain.basis_size) == (7, 5, 5)
+    assert torch.equal(prior.keypoints(beta), plain.keypoints(beta[:, :5]))
+    loose, tight = prior.joints(beta), plain.joints(beta[:, :5])
+    assert torch.equal(loose.axes, tight.axes)
+    torch.testing.assert_close(loose.pivots[:, 0] - tight.pivots[:, 0], beta[:, 5:] @ moves[0].T)
+    assert (loose.pivots[:, 1] == 0).all()  # of one that slides
+    assert (prior.encode(prior.keypoints(beta))[:, 5:] == 0).all()
+    torch.testing.assert_close(prior.beta_covariance[5:, 5:], torch.eye(2))
+
+
+def test_loose_numbers_come_and_go_with_the_weights() -> None:
+    loose, plain, other = prior_of(PLAIN), prior_of(PLAIN), prior_of(PLAIN, basis_size=10)
+    loose.loosen(torch.ones(1, 3, 2))
+    assert "pivot_basis" not in plain.state_dict()
+    other.load_state_dict(loose.state_dict())
+    assert other.basis_size == 12
+    assert torch.equal(other.pivot_basis, loose.pivot_basis)
+    other.load_state_dict(plain.state_dict())
+    assert other.basis_size == 10
+    broken = loose.state_dict() | {"pivot_basis": torch.ones(3, 2)}
+    with pytest.raises(RuntimeError, match="pivot_basis"):
+        other.load_state_dict(broken)

@@ -97,7 +97,7 @@ class Export:
         arrays = {name: getattr(prior, name) for name in ("basis", "beta_mean", "beta_covariance")}
         for layer in ("joint_hidden", "joint_out"):
             arrays |= {f"{layer}_{name}": tensor for name, tensor in getattr(prior, layer).named_parameters()}
-        arrays |= {"nominal_axes": prior.nominal_axes, "part_of": prior.part_of}
+        arrays |= {name: getattr(prior, name) for name in ("pivot_basis", "nominal_axes", "part_of")}
         plain = {name: tensor.detach().numpy() for name, tensor in arrays.items()}
         write_atomic(self.output / "prior.npz", lambda path: savez(path, allow_pickle=False, **plain))
         files = ["config.json", "model.safetensors", "prior.npz"]

@@ -80,7 +80,7 @@ class OmadNet(Network):
         width, dense = backbone.pooled, backbone.dense
         joints, keypoints, parts = len(category.joints), category.num_keypoints, len(category.parts)
 
-        self.shape_branch = nn.Sequential(nn.Linear(width, width), nn.ReLU(), nn.Linear(width, prior.basis_size))
+        self.shape_branch = nn.Sequential(nn.Linear(width, width), nn.ReLU(), nn.Linear(width, prior.shape_size))
         self.state_branch = nn.Sequential(nn.Linear(width, width), nn.ReLU(), nn.Linear(width, 7 + joints))
         self.keypoint_branch = nn.Sequential(nn.Linear(dense, dense), nn.ReLU(), nn.Linear(dense, 5 * keypoints))
         self.part_coarse = nn.Linear(dense, 32)
@@ -109,9 +109,11 @@ class OmadNet(Network):
         if self.tells_outside and not other.tells_outside:
             weights |= {name: nn.functional.pad(weights[name], pad) for name, pad in NEW_CLASS.items()}
         if not torch.equal(self.prior.basis, other.prior.basis):
-            translate = self.prior.encode(other.prior.basis.permute(2, 0, 1)).mT
+            translate = self.prior.encode(other.prior.basis.permute(2, 0, 1)).mT[: self.prior.shape_size]
+            translate = translate[:, : other.prior.shape_size]
             weight, bias = weights["shape_branch.2.weight"], weights["shape_branch.2.bias"]
-            bias = translate @ (other.prior.beta_mean + bias) - self.prior.beta_mean
+            theirs, own = (prior.beta_mean[: prior.shape_size] for prior in (other.prior, self.prior))
+            bias = translate @ (theirs + bias) - own
             weights |= {"shape_branch.2.weight": translate @ weight, "shape_branch.2.bias": bias}
         self.load_state_dict(weights | self.prior.state_dict(prefix="prior."))
 
@@ -140,9 +142,9 @@ class OmadNet(Network):
 
     def prediction(self, pooled: Tensor, keypoints: Tensor, log_sigma: Tensor, part_logits: Tensor) -> Prediction:
         """What the network says, with what two of its branches say of the whole cloud: ``pooled`` (B, pooled)."""
-        state = self.state_branch(pooled)
+        state, shape = self.state_branch(pooled), self.shape_branch(pooled)
         return Prediction(
-            beta=self.prior.beta_mean + self.shape_branch(pooled),
+            beta=self.prior.beta_mean + nn.functional.pad(shape, (0, self.prior.basis_size - self.prior.shape_size)),
             quaternion=nn.functional.normalize(state[:, :4] + state.new_tensor([1e-3, 0, 0, 0]), dim=-1),
             translation=state[:, 4:7],
             states=state[:, 7:],

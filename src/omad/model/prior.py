@@ -6,7 +6,7 @@ Everything is in category units. B observations, M keypoints, J joints, D = |bet
 from copy import copy
 from dataclasses import dataclass
 from itertools import accumulate, pairwise
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 import torch
@@ -55,7 +55,11 @@ def mirror_map(category: Category) -> MirrorMap:
 
 
 class OmadPrior(nn.Module):
-    """Shape basis and joint function (two-layer MLP with ReLU, paper Eq. 2) of one category."""
+    """Shape basis and joint function (two-layer MLP with ReLU, paper Eq. 2) of one category.
+
+    Our own: beta may end in a few loose numbers, which no keypoint depends on. They move pivots as those of the
+    category's objects lie off what the joint function makes of their shapes, so that an estimate's hinges are where
+    its parts turn about, and parts of unusual make do not turn farther, or less far, to make up for it."""
 
     def __init__(
         self,
@@ -66,7 +70,7 @@ class OmadPrior(nn.Module):
     ) -> None:
         super().__init__()
         self.tree: KinematicTree = category.tree
-        self.basis_size = basis_size or category.basis_size
+        size = basis_size or category.basis_size
         ends = list(accumulate((part.keypoints for part in category.parts), initial=0))
         self.keypoints_of_part = tuple(slice(first, last) for first, last in pairwise(ends))
         mirror = mirror_map(category)
@@ -76,19 +80,20 @@ class OmadPrior(nn.Module):
         fixed["nominal_axes"] = [[float(x) for x in joint.axis] for joint in category.joints]
         for name, values in fixed.items():
             self.register_buffer(name, torch.tensor(values), persistent=False)
-        self.register_buffer("beta_mean", torch.zeros(self.basis_size))
-        self.register_buffer("beta_covariance", torch.eye(self.basis_size))
+        self.register_buffer("beta_mean", torch.zeros(size))
+        self.register_buffer("beta_covariance", torch.eye(size))
 
-        basis = 0.1 * torch.randn(len(learned), 3, self.basis_size, generator=generator)
+        basis = 0.1 * torch.randn(len(learned), 3, size, generator=generator)
         basis[..., 0] *= 5  # the first column starts as a spread-out cloud, so that no keypoints coincide
         self.learned_basis = nn.Parameter(basis)
-        self.joint_hidden = nn.Linear(self.basis_size, hidden)
+        self.joint_hidden = nn.Linear(size, hidden)
         self.joint_out = nn.Linear(hidden, 6 * len(category.joints))
         with torch.no_grad():
             for layer in (self.joint_hidden, self.joint_out):
                 bound = layer.in_features**-0.5
                 layer.weight.copy_((torch.rand(layer.weight.shape, generator=generator) * 2 - 1) * bound)
                 layer.bias.zero_()
+        self.register_buffer("pivot_basis", torch.zeros(len(category.joints), 3, 0), persistent=False)
 
     part_of: Tensor
     source: Tensor
@@ -98,6 +103,33 @@ class OmadPrior(nn.Module):
     turning: Tensor
     beta_mean: Tensor
     beta_covariance: Tensor
+    pivot_basis: Tensor
+    """(J, 3, L) category units a standard deviation of each loose number."""
+
+    @property
+    def shape_size(self) -> int:
+        """Of the basis: beta without its loose numbers."""
+        return self.learned_basis.shape[-1]
+
+    @property
+    def basis_size(self) -> int:
+        """D, of all of beta."""
+        return len(self.beta_mean)
+
+    def loosen(self, pivot_basis: Tensor) -> None:
+        """Let beta end in L loose numbers, independent and of unit variance, that move pivots by ``pivot_basis``
+        (J, 3, L), in place of those that it ends in."""
+        size, loose = self.shape_size, pivot_basis.shape[-1]
+        self.beta_mean = nn.functional.pad(self.beta_mean[:size], (0, loose))
+        self.beta_covariance = torch.block_diag(self.beta_covariance[:size, :size], torch.eye(loose).to(pivot_basis))
+        self.register_buffer("pivot_basis", pivot_basis, persistent=loose > 0)
+
+    def _load_from_state_dict(self, state_dict: dict[str, Tensor], prefix: str, *args: Any) -> None:
+        """With as many loose numbers as the weights have."""
+        found = state_dict.get(f"{prefix}pivot_basis")
+        loose = 0 if found is None or not found.dim() else found.shape[-1]
+        self.loosen(self.pivot_basis.new_zeros(*self.pivot_basis.shape[:2], loose))
+        super()._load_from_state_dict(state_dict, prefix, *args)
 
     @property
     def num_keypoints(self) -> int:
@@ -118,7 +150,7 @@ class OmadPrior(nn.Module):
     @property
     def basis(self) -> Tensor:
         """B as (M, 3, D), images included; differentiable in the learned half."""
-        full = self.learned_basis[self.slot]
+        full = nn.functional.pad(self.learned_basis, (0, self.basis_size - self.shape_size))[self.slot]
         return torch.where(self.is_image[:, None, None], full * full.new_tensor(MIRROR_X)[:, None], full)
 
     def keypoints(self, beta: Tensor) -> Tensor:
@@ -126,20 +158,24 @@ class OmadPrior(nn.Module):
         return torch.einsum("mcd,bd->bmc", self.basis, beta)
 
     def joints(self, beta: Tensor) -> JointParameters:
-        """J(beta): the spec's axis plus a learned correction, normalised; a pivot where the joint turns."""
-        raw = self._joint_layers(self.joint_hidden(beta))
-        return JointParameters(nn.functional.normalize(raw[..., :3], dim=-1), raw[..., 3:] * self.turning[:, None])
+        """J(beta): the spec's axis plus a learned correction, normalised; a pivot where the joint turns, moved by the
+        loose numbers."""
+        raw = self._joint_layers(self.joint_hidden(beta[:, : self.shape_size]))
+        pivots = raw[..., 3:] + torch.einsum("jcl,bl->bjc", self.pivot_basis, beta[:, self.shape_size :])
+        return JointParameters(nn.functional.normalize(raw[..., :3], dim=-1), pivots * self.turning[:, None])
 
     def joint_slopes(self, beta: Tensor) -> JointParameters:
         """d J / d beta at beta (B, D), in closed form; axes and pivots (B, J, 3, D)."""
-        hidden = self.joint_hidden(beta)
+        hidden = self.joint_hidden(beta[:, : self.shape_size])
         axes = self._joint_layers(hidden)[..., :3]
         length = axes.norm(dim=-1, keepdim=True)
         axes = axes / length
         slope = self.joint_out.weight @ ((hidden > 0).to(beta)[..., None] * self.joint_hidden.weight)
         slope = slope.unflatten(1, (-1, 6))
         tangent = (torch.eye(3).to(beta) - axes[..., None] * axes[..., None, :]) / length[..., None]
-        return JointParameters(tangent @ slope[:, :, :3], slope[:, :, 3:] * self.turning[:, None, None])
+        pivots = torch.cat([slope[:, :, 3:], self.pivot_basis.expand(len(beta), -1, -1, -1)], -1)
+        turning = nn.functional.pad(tangent @ slope[:, :, :3], (0, self.basis_size - self.shape_size))
+        return JointParameters(turning, pivots * self.turning[:, None, None])
 
     def _joint_layers(self, hidden: Tensor) -> Tensor:
         """(B, J, 6) axes that are not normalised yet and pivots, from the hidden layer before its ReLU."""

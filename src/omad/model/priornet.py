@@ -49,7 +49,7 @@ class PriorNet(Network):
         self.context_layer = nn.Linear(parts * WIDTH, WIDTH, bias=False)
         self.node_head = nn.Linear(WIDTH, category.num_keypoints)
         self.shape_head = nn.Sequential(
-            nn.Linear(parts * (WIDTH + 6), 2 * WIDTH), nn.ReLU(), nn.Linear(2 * WIDTH, self.prior.basis_size)
+            nn.Linear(parts * (WIDTH + 6), 2 * WIDTH), nn.ReLU(), nn.Linear(2 * WIDTH, self.prior.shape_size)
         )
         self.register_buffer("part_of", torch.tensor(category.part_of_keypoint), persistent=False)
 
@@ -78,7 +78,8 @@ class PriorNet(Network):
         ]
         nodes = torch.cat(nodes, 1)
         images = nodes[:, self.prior.source] * nodes.new_tensor(MIRROR_X)  # of the learned partners
-        beta = self.shape_head(torch.cat([pooled, low, high], -1).flatten(1))
+        shape = self.shape_head(torch.cat([pooled, low, high], -1).flatten(1))
+        beta = nn.functional.pad(shape, (0, self.prior.basis_size - self.prior.shape_size))
         return PriorNetOutput(torch.where(self.prior.is_image[:, None], images, nodes), beta)
 
 

@@ -205,7 +205,7 @@ def train_net(
 
 def check_same_keypoints(prior: OmadPrior, other: OmadPrior) -> None:
     """Raises InputError where a prior is not the other one, nor was fine-tuned from it."""
-    if prior.basis.shape == other.basis.shape:
+    if prior.learned_basis.shape == other.learned_basis.shape:
         theirs = other.keypoints(other.beta_mean[None]).to(prior.basis)
         apart = (prior.keypoints(prior.encode(theirs)) - theirs).norm(dim=-1).mean()
         if apart < SAME_KEYPOINTS:

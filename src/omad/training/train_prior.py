@@ -119,8 +119,9 @@ def _follow_basis(net: PriorNet, clouds: Sequence[Tensor]) -> None:
     """Have the shape branch say the betas of the nodes of ``clouds``, as nearly as an affine map of what it says does:
     it has learned those of another basis, which ``finish_prior`` took away."""
     out, (weight, bias) = net(clouds), net.shape_head[-1].parameters()
-    said = np.pad(as_doubles(out.beta), ((0, 0), (0, 1)), constant_values=1.0)
-    found = np.linalg.lstsq(said, as_doubles(net.prior.encode(out.nodes)), rcond=1e-6)[0]
+    shapes = out.beta[:, : net.prior.shape_size], net.prior.encode(out.nodes)[:, : net.prior.shape_size]
+    said, wanted = map(as_doubles, shapes)
+    found = np.linalg.lstsq(np.pad(said, ((0, 0), (0, 1)), constant_values=1.0), wanted, rcond=1e-6)[0]
     turn, shift = (torch.as_tensor(each).to(weight) for each in (found[:-1].T, found[-1]))
     weight.copy_(turn @ weight)
     bias.copy_(turn @ bias + shift)
@@ -139,6 +140,17 @@ def prior_error(net: PriorNet, bank: SurfaceBank) -> dict[str, float]:
     return found
 
 
+def stretched_objects(
+    nodes: Tensor, bank: SurfaceBank, scale: tuple[float, float], draws: int = 8
+) -> tuple[Tensor, Joints]:
+    """The objects of a bank, whose ``nodes`` (N, M, 3) are, each stretched ``draws`` times along the canonical axes:
+    nodes (N draws, M, 3) and joints. Always the same."""
+    count, device = draws * len(nodes), nodes.device
+    stretch = uniform(*scale, (count, 3), nodes.cpu(), torch.Generator().manual_seed(0)).to(device)
+    joints = bank.joints(torch.arange(len(nodes), device=device).repeat(draws), stretch)
+    return nodes.repeat(draws, 1, 1) * stretch[:, None], joints
+
+
 def finish_prior(
     prior: OmadPrior, nodes: Tensor, bank: SurfaceBank, scale: tuple[float, float], draws: int = 8, steps: int = 1500
 ) -> None:
@@ -146,23 +158,23 @@ def finish_prior(
 
     The basis becomes the best linear one of its size (truncated SVD of all nodes, each object stretched at least
     ``draws`` times; half the error of the basis that taught the nodes), scaled so that every beta has mean square
-    one; the joint function is fitted to the betas of that basis; mean and covariance of beta are taken.
+    one; the joint function is fitted to the betas of that basis; mean and covariance of beta are taken; how the true
+    pivots lie off that function becomes what the loose numbers of beta move.
     """
-    draws = max(draws, -(-2 * prior.basis_size // len(nodes)))  # so that one object is enough
-    count, size, device = draws * len(nodes), prior.basis_size, nodes.device
-    generator = torch.Generator().manual_seed(0)
-    stretch = uniform(*scale, (count, 3), nodes.cpu(), generator).to(device)
-    stretched = nodes.repeat(draws, 1, 1) * stretch[:, None]
+    size, device, generator = prior.shape_size, nodes.device, torch.Generator().manual_seed(1)
+    draws = max(draws, -(-2 * size // len(nodes)))  # so that one object is enough
+    stretched, objects = stretched_objects(nodes, bank, scale, draws)
+    count = len(stretched)
     _, singular, directions = torch.linalg.svd(stretched.flatten(1), full_matrices=False)
     singular = singular.clamp(min=1e-4 * float(singular[0]))  # a few objects may not fill the basis
     basis = (directions[:size] * singular[:size, None] / count**0.5).T.reshape(-1, 3, size)
     with torch.no_grad():
+        prior.loosen(prior.pivot_basis[..., :0])
         prior.learned_basis.copy_(basis[~prior.is_image])
         beta = prior.encode(stretched)
         prior.beta_mean.copy_(beta.mean(0))
         prior.beta_covariance.copy_(beta.T.cov())
 
-    objects = bank.joints(torch.arange(len(nodes), device=device).repeat(draws), stretch)
     layers = nn.ModuleList([prior.joint_hidden, prior.joint_out]).requires_grad_(True)
     optimizer = torch.optim.Adam(layers.parameters(), lr=3e-3)
     decay = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, steps)
@@ -175,3 +187,22 @@ def finish_prior(
         optimizer.step()
         decay.step()
     prior.requires_grad_(False)
+    loosen_pivots(prior, beta, objects)
+
+
+LOOSE = 2
+"""Loose numbers of beta, where any joint turns: across one axis there are no more directions, and the hinges of one
+object are off alike."""
+
+
+@torch.no_grad()
+def loosen_pivots(prior: OmadPrior, beta: Tensor, joints: Joints) -> None:
+    """Let beta end in what the true ``joints`` of N objects tell of their pivots and their shapes ``beta`` (N, D) do
+    not: the largest principal components of how far the axes lie off the joint function's pivots."""
+    found = prior.joints(beta)
+    off = (joints.pivots - found.pivots) * prior.turning[:, None]
+    off = off - (off * found.axes).sum(-1, keepdim=True) * found.axes
+    _, singular, directions = torch.linalg.svd(off.flatten(1), full_matrices=False)
+    count = LOOSE if prior.turning.any() else 0
+    spread = directions[:count] * singular[:count, None] / len(off) ** 0.5
+    prior.loosen(spread.T.reshape(*prior.pivot_basis.shape[:2], count))

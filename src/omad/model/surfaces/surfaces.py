@@ -114,7 +114,7 @@ class Surfaces:
             return
         file, category, weights = state["file"], state["category"], state["weights"]
         with undrawn():
-            prior = OmadPrior(category, len(weights["beta_mean"]), len(weights["joint_hidden.bias"]))
+            prior = OmadPrior(category, weights["learned_basis"].shape[-1], len(weights["joint_hidden.bias"]))
         prior.load_state_dict({name: torch.as_tensor(value) for name, value in weights.items()})
         self.__init__(prior.requires_grad_(False), category, partial(_shared, file, category, prior), state["config"])
         self._file = file
@@ -127,7 +127,7 @@ class Surfaces:
     @cached_property
     def _doubles(self) -> OmadPrior:
         with undrawn():
-            mine = OmadPrior(self.category, self._prior.basis_size, self._prior.joint_hidden.out_features).double()
+            mine = OmadPrior(self.category, self._prior.shape_size, self._prior.joint_hidden.out_features).double()
         mine.load_state_dict(self._prior.state_dict())
         return mine.requires_grad_(False)
 

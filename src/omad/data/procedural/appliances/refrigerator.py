@@ -63,7 +63,7 @@ def generate(rng: np.random.Generator, category: Category, unusual: np.random.Ge
             half = rng.uniform(0.01, 0.03)
             body.append(box((split - half, mouth.y0, -depth + wall), (split + half, mouth.y1, -0.01)))
             doors = [(outer, inner.grown(-half, 0.0)) for outer, inner in doors]
-    behind = unusual.choice([0.0, unusual.uniform(0.0, 0.1)]) if unusual else 0.0
+    behind = max(unusual.uniform(-0.03, 0.1), 0.0) if unusual else 0.0
     return _hung(rng, body, doors, thickness, crude, width, arch, behind)
 
 

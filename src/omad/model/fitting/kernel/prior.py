@@ -19,6 +19,9 @@ from omad.common.compiled import inner, jit
 from ...prior import OmadPrior
 from .algebra import dot, fit_rotation, rotation, times
 
+FAR = 100.0
+"""More standard deviations than any loose number is away from its mean."""
+
 
 class KernelPrior(NamedTuple):
     """Constants of a category, as arrays."""
@@ -56,10 +59,15 @@ def kernel_prior(prior: OmadPrior) -> KernelPrior:
     ends = np.array([0, *(part.stop for part in prior.keypoints_of_part)], dtype=np.int64)
     out_bias = as_doubles(out.bias).reshape(-1, 6) + as_doubles(prior.nominal_axes) @ np.eye(3, 6)
     hidden_weight, hidden_bias, out_weight = map(as_doubles, (hidden.weight.T, hidden.bias, out.weight))
+    # a loose number of beta is a hidden unit that is always far from its ReLU's kink
+    moves = np.pad(as_doubles(prior.pivot_basis), ((0, 0), (3, 0), (0, 0))).reshape(len(out_weight), -1)
+    loose = moves.shape[1]
+    hidden_weight = np.pad(hidden_weight, ((0, loose), (0, loose)))
+    hidden_weight[prior.shape_size :, len(hidden_bias) :] = np.eye(loose)
+    hidden_bias, out_weight = np.append(hidden_bias, np.full(loose, FAR)), np.hstack([out_weight, moves])
+    out_bias = out_bias.ravel() - FAR * moves.sum(1)
     basis, parents = as_doubles(prior.basis.permute(1, 2, 0)), np.array(tree.parents, dtype=np.int64)
-    return KernelPrior(
-        basis, ends, parents, turn, slide, hidden_weight, hidden_bias, out_weight, out_bias.ravel()
-    )  # fmt: skip
+    return KernelPrior(basis, ends, parents, turn, slide, hidden_weight, hidden_bias, out_weight, out_bias)
 
 
 @inner
