@@ -163,6 +163,24 @@ def test_a_xacro_file_is_named_as_one(tmp_path):
         read_articulation(file)
 
 
+def test_what_no_one_looks_at_may_be_odd(tmp_path):
+    """What xacro wrote still names it, robots have no name, and bodies for contacts are of more shapes."""
+    file = tmp_path / "odd.urdf"
+    shapes = "<visual>{}</visual><collision>{}</collision>".format(
+        *(f"<geometry>{shape}</geometry>" for shape in ('<box size="1 1 1"/>', '<capsule radius="1" length="2"/>'))
+    )
+    file.write_text(f'<robot xmlns:xacro="http://www.ros.org/wiki/xacro"><link name="a">{shapes}</link></robot>')
+    assert read_articulation(file).name == "odd"
+
+
+@pytest.mark.parametrize("attribute", ['name="${name}"', 'filename="$(find oven)/a.obj"'])
+def test_a_xacro_file_without_its_namespace_is_named_as_one(attribute, tmp_path):
+    file = tmp_path / "odd.urdf"
+    file.write_text(f"<robot><link {attribute}/></robot>")
+    with pytest.raises(InputError, match="run xacro on it"):
+        read_articulation(file)
+
+
 def test_a_shape_that_no_urdf_has_is_named(tmp_path):
     file = tmp_path / "bad.urdf"
     file.write_text(BAD["capsule"])

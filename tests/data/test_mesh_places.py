@@ -1,6 +1,7 @@
 """Meshes that lie elsewhere than their URDF, and in units of their own."""
 
 import shutil
+import unicodedata
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import trimesh
 
 import omad
 from helpers.own_models import SPECS, microwave
+from omad.common.errors import InputError
 from omad.data.urdf_import.folder import import_model, load_folder
 from omad.data.urdf_import.importing import import_folder
 from omad.objects.urdf import write_urdf
@@ -57,12 +59,45 @@ def test_a_mesh_that_tells_its_unit_is_taken_in_it():
 
 @pytest.mark.parametrize(
     ("before", "after"),
-    [("meshes/", "meshes\\"), ("meshes/", "Meshes/"), (".obj", ".OBJ"), ("meshes/", "model://oven/meshes/")],
+    [
+        ("meshes/", "meshes\\"),
+        ("meshes/", "Meshes/"),
+        (".obj", ".OBJ"),
+        ("meshes/", "model://oven/meshes/"),
+        ("meshes/", "file:///home/someone/oven/meshes/"),
+        ("meshes/", "C:\\Users\\someone\\oven\\meshes\\"),
+    ],
 )
-def test_a_mesh_may_be_named_as_on_windows_or_in_gazebo(before, after):
+def test_a_mesh_may_be_named_as_on_windows_in_gazebo_or_elsewhere(before, after):
     made = microwave()
     file = write_urdf(made, Path("oven/oven.urdf"))
     file.write_text(file.read_text().replace(before, after))
+    np.testing.assert_allclose(import_model(file, MICROWAVE).part_boxes(), made.part_boxes(), atol=1e-9)
+
+
+@pytest.mark.parametrize("form", ["NFC", "NFD"])
+@pytest.mark.parametrize("written", ["für mich/", "f%C3%BCr%20mich/"])
+def test_names_may_be_escaped_and_accents_composed_otherwise(written, form):
+    made = microwave()
+    file = write_urdf(made, Path("oven/oven.urdf"))
+    Path("oven/meshes").rename(f"oven/{unicodedata.normalize(form, 'für mich')}")
+    file.write_text(file.read_text().replace("meshes/", written), encoding="utf-8")
+    np.testing.assert_allclose(import_model(file, MICROWAVE).part_boxes(), made.part_boxes(), atol=1e-9)
+
+
+def test_a_mesh_that_was_not_fetched_is_named():
+    file = write_urdf(microwave(), Path("oven/oven.urdf"))
+    for mesh in Path("oven/meshes").iterdir():
+        mesh.write_text("version https://git-lfs.github.com/spec/v1\noid sha256:12\nsize 34\n")
+    with pytest.raises(InputError, match=r"\.obj: is only a pointer of Git LFS; run git lfs pull"):
+        import_model(file, MICROWAVE)
+
+
+def test_a_line_of_an_obj_may_end_in_a_comment():
+    made = microwave()
+    file = write_urdf(made, Path("oven/oven.urdf"))
+    for mesh in Path("oven/meshes").glob("*.obj"):
+        mesh.write_text("\n".join(f"{line} # as exported" for line in mesh.read_text().splitlines()))
     np.testing.assert_allclose(import_model(file, MICROWAVE).part_boxes(), made.part_boxes(), atol=1e-9)
 
 

@@ -9,6 +9,7 @@ import pytest
 import omad
 from helpers.own_models import SPECS, Z_UP, box, microwave, seen_from_elsewhere, write_microwaves
 from omad.common.errors import InputError
+from omad.data.procedural import generate
 from omad.data.urdf_import.folder import import_model, load_folder
 from omad.data.urdf_import.importing import import_folder
 from omad.objects.category import Category, JointSpec, PartSpec
@@ -58,6 +59,15 @@ def test_a_joint_that_follows_another_and_metres_called_as_those_of_partnet_are_
     assert len(load_folder(tmp_path, CUPBOARD, scale=1.0).notes) == 1
 
 
+def test_a_part_without_one_of_its_meshes_is_noted(tmp_path):
+    file = write_urdf(cupboard(), tmp_path / "made")
+    shape = '<visual><geometry><mesh filename="meshes/knob.obj"/></geometry></visual>'
+    file.write_text(file.read_text().replace("</link>", f"{shape}</link>", 1))
+    (file.parent / "meshes" / "knob.obj").write_text("")
+    [note] = load_folder(tmp_path, CUPBOARD).notes
+    assert note.reason == "no triangles in meshes/knob.obj: taken without; export again what should have some"
+
+
 def test_limits_the_wrong_way_round_are_exchanged_and_noted(tmp_path):
     file = write_urdf(cupboard(), tmp_path / "made")
     written = file.read_text()
@@ -97,6 +107,30 @@ def test_a_model_that_lies_alone_is_named():
     write_urdf(drop_down(np.eye(3)), Path("lone"))
     [note] = import_folder(Path("lone"), MICROWAVE, Path("ours")).notes
     assert "x up, most files have z or y up" in note.reason
+    assert load_folder("lone", MICROWAVE).notes == [note]  # whichever command reads the folder
+
+
+@pytest.mark.usefixtures("elsewhere")
+@pytest.mark.parametrize(
+    ("file", "turn", "said"),
+    [
+        ("made/made.urdf", np.diag([1.0, -1.0, -1.0]), "-y up, most files have z or y up"),
+        ("made/mobility.urdf", np.diag([-1.0, 1.0, -1.0]), "+y up, PartNet-Mobility's files have z up"),
+        ("made/made.urdf", np.diag([-1.0, 1.0, -1.0]), None),
+        ("made/mobility.urdf", Z_UP, None),
+    ],
+    ids=["on its head", "on its side in PartNet-Mobility", "y up", "z up in PartNet-Mobility"],
+)
+def test_what_a_lone_file_has_up_is_doubted_where_such_files_never_have_it(file, turn, said):
+    category = omad.get_category("dishwasher")
+    made = generate(category, 0)
+    parts = tuple(part.warped(lambda vertices: vertices @ turn.T) for part in made.parts)
+    write_urdf(replace(made, parts=parts, axes=made.axes @ turn.T, pivots=made.pivots @ turn.T), Path(file))
+    for notes in (
+        load_folder("made", category, 1.0).notes,
+        import_folder(Path("made"), category, Path("ours"), 1.0).notes,
+    ):
+        assert [note.reason.split(": ")[0] for note in notes] == ([f"stands with its file's {said}"] if said else [])
 
 
 @pytest.mark.usefixtures("elsewhere")

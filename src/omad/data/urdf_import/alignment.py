@@ -49,6 +49,8 @@ class Aligned:
     model: ObjectModel
     R_canonical_source: np.ndarray
     """(3, 3) how it was turned, or turned and mirrored."""
+    as_it_stood: bool = False
+    """Whether it was in canonical space already."""
 
     @property
     def mirrored(self) -> bool:
@@ -89,7 +91,7 @@ def _aligned(labellings: Sequence[RawArticulation], category: Category) -> Align
     model = replace(best, limits=limits, joint_names=names).centred()
     # pivots move along their axes to where they are nearest to the origin, as any point of an axis will do
     along = (model.pivots * model.axes).sum(1, keepdims=True)
-    return Aligned(replace(model, pivots=model.pivots - along * model.axes), R)
+    return Aligned(replace(model, pivots=model.pivots - along * model.axes), R, found is not None)
 
 
 def _is_canonical(raw: RawArticulation, category: Category) -> bool:

@@ -1,6 +1,7 @@
 """URDF as other people write it, read as it is."""
 
 import io
+import re
 import xml.etree.ElementTree as ElementTree
 from collections import Counter
 from collections.abc import Iterable, Sequence
@@ -26,6 +27,8 @@ SHAPES = {"mesh", "box", "cylinder", "sphere"}
 FARTHEST = 1e6
 """Nothing in a URDF is farther away, in its own unit."""
 REPAIR = "repair the file or download it again"
+XACRO = re.compile(r"\$[{(]")
+"""Where a value has yet to be worked out."""
 _JOINT_TYPES: dict[str, JointType] = {"revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic"}
 """URDF's own names."""
 _FREE = {"floating", "planar"}
@@ -222,16 +225,23 @@ def _parse(path: Path) -> Any:
         if error.position == (1, 0):  # an image, an archive, or nothing at all
             raise InputError(f"{shown(path)}: is no URDF, nor a folder; give a URDF, or a folder") from error
         raise InputError(f"{shown(path)}: broken XML ({error}); {REPAIR}") from error
-    if b"xmlns:xacro" in content:
+    if any("/xacro}" in each.tag or XACRO.search(" ".join(each.attrib.values())) for each in root.iter()):
         raise InputError(f"{shown(path)}: is a xacro file; run xacro on it, and give the URDF that it writes")
     if root.tag != "robot":
         raise InputError(f"{shown(path)}: not a URDF: its root element is not <robot>")
     for kind in ("link", "joint"):
         check_limit("links", len(root.findall(kind)), f"{shown(path)}: the number of {kind}s")
+    root.attrib.setdefault("name", "")
     for link in root.findall("link"):
-        for shape in {one.tag for geometry in link.iter("geometry") for one in geometry} - SHAPES:
-            what = f"link {link.get('name')!r} has a geometry of no known shape, {shown(shape)}"
-            raise InputError(f"{shown(path)}: {what}; give a mesh, box, cylinder or sphere")
+        unseen = link.findall("collision") if link.find("visual") is not None else []
+        for collision in unseen:  # of any shapes: they are not looked at
+            link.remove(collision)
+        for element in (*link.findall("visual"), *link.findall("collision")):
+            shapes = [one.tag for one in element.findall("geometry/*")]
+            if not shapes or not SHAPES.issuperset(shapes):
+                said = ", ".join(map(shown, shapes)) or "none at all"
+                what = f"link {link.get('name')!r} has a geometry of no known shape, {said}"
+                raise InputError(f"{shown(path)}: {what}; give a mesh, box, cylinder or sphere")
     # as UTF-8, whatever encoding it was in
     text = io.BytesIO(ElementTree.tostring(root, encoding="utf-8"))
     return yourdfpy.URDF.load(text, build_scene_graph=False, load_meshes=False).robot
@@ -340,7 +350,7 @@ def _raw_joint(
         given = [(limit or 0.0) * motion.state_unit(unit) for limit in stated]  # 0 is URDF's default
         (low, high), inverted = sorted(given), given[0] > given[1]
         if not np.abs([low, high]).max() <= FARTHEST * unit:  # not for NaN either
-            raise InputError(f"{path}: the limits of joint {joint.name!r} are not finite; use a continuous joint")
+            raise InputError(f"{path}: the limits of joint {joint.name!r} are not finite; leave them out")
         limits = low, high
     follows = None if joint.mimic is None or slide is not None else joint.mimic.joint
     return RawJoint(joint.name, motion, *ends, axis / length, T[:3, 3] * unit, limits, follows, inverted)

@@ -2,7 +2,8 @@
 
 import math
 import os
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Collection, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -58,7 +59,8 @@ class ImportedModel:
     notes: list[str]
     """A line on everything that had to be put right about it."""
     up: str | None
-    """Which of the file's axes points up in canonical space, as "+z"; None where none does."""
+    """Which of the file's axes points up in canonical space, as "+z"; None where none does, and where nothing was
+    turned because the file is of canonical space itself."""
 
 
 @dataclass(frozen=True)
@@ -86,6 +88,7 @@ def load_folder(
     Arguments as in ``import_model``. Objects that do not fit are listed with the reason. Raises InputError where
     ``folder`` does not exist or holds no object at all."""
     models, scales, refused, notes = [], [], [], []
+    up, z_up = dict[str, str](), set[str]()
     for source in object_paths(folder):
         try:
             found = import_with_notes(source, category, scale, missing_meshes, mesh_folder)
@@ -95,6 +98,9 @@ def load_folder(
             models.append(found.model)
             scales.append(scale_of(source, category, scale))
             notes += [Refusal(found.model.name, note) for note in found.notes]
+            up |= {} if found.up is None else {found.model.name: found.up}
+            z_up |= {found.model.name} if of_partnet(source) else set()
+    notes += lying(up, z_up, category.either_hand)
     return FolderImport(models, refused, notes, size_doubts(models, category, scales))
 
 
@@ -155,8 +161,11 @@ def _imported(
     notes += [MIRRORED] if of_other_hand else []
     if stated.skipped:
         notes.append(f"is taken without {len(stated.skipped)} of its mesh files, which are missing")
+    if stated.empty:
+        notes.append(f"no triangles in {', '.join(stated.empty)}: taken without; export again what should have some")
     model = replace(aligned.model, name=object_name(path), of_other_hand=of_other_hand)
-    return ImportedModel(model, notes, _up(aligned.R_canonical_source))
+    up = None if aligned.as_it_stood else _up(aligned.R_canonical_source)
+    return ImportedModel(model, notes, up)
 
 
 def _odd_limits(raw: RawArticulation) -> list[str]:
@@ -170,7 +179,12 @@ def scale_of(path: Path, category: Category, scale: float | None) -> float:
     """Metres per unit of a model's file, where ``scale`` is what was said of all."""
     if scale is not None:
         return scale
-    return category.metres_per_unit if partnet.is_partnet(urdf_of(path) if path.is_dir() else path) else 1.0
+    return category.metres_per_unit if of_partnet(path) else 1.0
+
+
+def of_partnet(path: Path) -> bool:
+    """Whether a model's file or folder is of PartNet-Mobility: normalised, and z up."""
+    return partnet.is_partnet(urdf_of(path) if path.is_dir() else path)
 
 
 def size_doubts(models: Sequence[ObjectModel], category: Category, scales: Sequence[float]) -> list[Refusal]:
@@ -182,6 +196,28 @@ def size_doubts(models: Sequence[ObjectModel], category: Category, scales: Seque
             cure = f"omad import --scale {factor * scale:g} (metres per unit of its file)"
             doubts.append(Refusal(model.name, f"{odd}; {cure} makes it {factor * model.diagonal:.3g} m"))
     return doubts
+
+
+def lying(up: dict[str, str], z_up: Collection[str], either_hand: bool) -> list[Refusal]:
+    """Models, by the axes of their files that were turned ``up``, that have another one up than most, or where most do
+    not agree, as one alone, one that files seldom have: of those named in ``z_up`` any but z. Where the spec knows of
+    one hand alone, they may be of the other one."""
+    usual, count = Counter(up.values()).most_common(1)[0] if up else ("", 0)
+    agreed = count > max(1, len(up) / 2)
+    cure = "if it lies or stands on its head, leave it out, or it belongs to another category"
+    if not either_hand:
+        cure += "; if it is the mirror image of the others, say either_hand = true in the spec"
+    found = []
+    for name, axis in up.items():
+        if agreed:
+            expected, others = {usual}, f"the others with {usual}"
+        elif name in z_up:
+            expected, others = {"+z"}, "PartNet-Mobility's files have z up"
+        else:
+            expected, others = {"+z", "+y"}, "most files have z or y up"
+        if axis not in expected:
+            found.append(Refusal(name, f"stands with its file's {axis} up, {others}: look at it; {cure}"))
+    return found
 
 
 @lru_cache(maxsize=1)

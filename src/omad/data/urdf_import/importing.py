@@ -34,8 +34,10 @@ from .folder import (
     ImportedModel,
     Refusal,
     import_with_notes,
+    lying,
     object_name,
     object_paths,
+    of_partnet,
     scale_of,
     size_doubts,
     urdf_of,
@@ -132,7 +134,8 @@ def _import_all(
             refused.append(Refusal(name, str(error)))
             record.drop(name)
     doubts = size_doubts(models, category, scales)
-    summary = ImportSummary(models, refused, [*notes, *_lying(record.up, category.either_hand)], doubts)
+    z_up = {object_name(path) for path in paths if object_name(path) in record.up and of_partnet(path)}
+    summary = ImportSummary(models, refused, [*notes, *lying(record.up, z_up, category.either_hand)], doubts)
     if models or (output / RECORD).is_file():
         record.write(summary.to_dict())
     return summary
@@ -220,22 +223,6 @@ class _Kept:
     notes: dict[str, tuple[str, ...]]
     written: dict[str, dict[str, str]]
     up: dict[str, str] = field(default_factory=dict)
-
-
-def _lying(up: dict[str, str], either_hand: bool) -> list[Refusal]:
-    """Models that were turned upright from another side than most, or where most do not agree, as one alone, with their
-    file's x up. Where the spec knows of one hand alone, they may be of the other one."""
-    usual, count = Counter(up.values()).most_common(1)[0] if up else ("", 0)
-    agreed = count > max(1, len(up) / 2)
-    others = f"the others with {usual}" if agreed else "most files have z or y up"
-    cure = "if it lies on its side, leave it out, or it belongs to another category"
-    if not either_hand:
-        cure += "; if it is the mirror image of the others, say either_hand = true in the spec"
-    return [
-        Refusal(name, f"stands with its file's {axis} up, {others}: look at the picture; {cure}")
-        for name, axis in up.items()
-        if (axis != usual if agreed else "x" in axis)
-    ]
 
 
 def _check_inside(path: str, what: str) -> None:

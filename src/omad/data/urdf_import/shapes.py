@@ -3,10 +3,12 @@
 import io
 import os
 import re
+import unicodedata
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, TextIO
+from urllib.parse import unquote
 
 import numpy as np
 import trimesh
@@ -22,6 +24,8 @@ MESH_FORMATS = (".obj", ".stl", ".dae", ".ply", ".glb", ".gltf", ".off")
 """Others that trimesh knows unpack archives or start programs."""
 PACKAGED = "urdf"
 """Folder of a ROS package, with meshes beside it, in which its URDF lies."""
+GIT_LFS = b"version https://git-lfs"
+"""How files begin that stand for others which were not fetched."""
 LARGEST = 1e6
 """Of a coordinate, in the file's own unit."""
 LONGEST_LINE = 2**20
@@ -41,11 +45,10 @@ class MeshFiles:
     """Names of those without a triangle."""
 
     def find(self, filename: str) -> Path | None:
-        """The file in one of these folders, with or without its package's name, in capitals or not, as Windows does not
-        tell; None where it is in none."""
-        plain = re.sub(r"^((package|model)://|file:///(?=[A-Za-z]:)|file://)", "", filename).replace("\\", "/")
-        name, beside = Path(plain), self.urdf.resolve().parent
-        names = [name, Path(*name.parts[1:])] if re.match("(package|model)://", filename) else [name]
+        """The file in one of these folders, with or without its package's name or the folders of another machine, in
+        capitals or not, as Windows does not tell, and with what is escaped in addresses; None where it is in none."""
+        beside = self.urdf.resolve().parent
+        names = [name for written in dict.fromkeys((filename, unquote(filename))) for name in _names(written)]
         for as_on_disk in (lambda place, root: place, _any_case):
             for root in self._roots():
                 within = [place for place in (beside, *beside.parents) if place.is_relative_to(root)]
@@ -61,6 +64,16 @@ class MeshFiles:
         return [package] if self.folder is None else [package, self.folder.resolve()]
 
 
+def _names(filename: str) -> list[Path]:
+    """What a mesh may be called, likeliest first."""
+    plain = re.sub(r"^((package|model)://|file:///(?=[A-Za-z]:)|file://)", "", filename).replace("\\", "/")
+    name = Path(plain)
+    if re.match("(package|model)://", filename):
+        return [name, Path(*name.parts[1:])]
+    elsewhere = name.is_absolute() or re.match("[A-Za-z]:/", plain)
+    return [name, *(Path(*name.parts[start:]) for start in range(1, len(name.parts)))] if elsewhere else [name]
+
+
 def _any_case(place: Path, root: Path) -> Path:
     """A path as it is written on the disk, as far as it lies in the folder ``root``."""
     found = Path(place.anchor)
@@ -71,9 +84,14 @@ def _any_case(place: Path, root: Path) -> Path:
             and found.resolve().is_relative_to(root)
             and found.is_dir()
         ):
-            part = next((each.name for each in found.iterdir() if each.name.lower() == part.lower()), part)
+            part = next((each.name for each in found.iterdir() if _alike(each.name) == _alike(part)), part)
         found /= part
     return found
+
+
+def _alike(name: str) -> str:
+    """The same for names that differ in capitals, or in how accents are composed, as on a Mac."""
+    return unicodedata.normalize("NFC", name).lower()
 
 
 def link_mesh(link: Any, T_model_link: np.ndarray, files: MeshFiles) -> Mesh:
@@ -146,6 +164,9 @@ def _load_mesh(file: Path) -> Mesh:
     cure = "give a .glb, which has all in one file" if suffix == ".gltf" else "export it again"
     with readable(file, "a mesh", cure):
         check_file(file)
+        with file.open("rb") as start:
+            if start.read(len(GIT_LFS)) == GIT_LFS:
+                raise InputError(f"{file}: is only a pointer of Git LFS; run git lfs pull where it comes from")
         if suffix == ".obj":
             check_limit("data_bytes", file.stat().st_size, f"{file}: the file")
             with file.open(encoding="utf-8", errors="replace") as lines:
@@ -170,7 +191,7 @@ def _parse_obj(lines: TextIO, name: str) -> Mesh:
     """Positions and triangles alone, in the file's order: texture coordinates and normals would split vertices."""
     vertices, faces, most = list[list[float]](), list[tuple[int, int, int]](), limits().mesh_faces
     for line in _whole_lines(lines):
-        kind, *fields = line.split() or [""]
+        kind, *fields = line.partition("#")[0].split() or [""]
         if kind == "v":
             vertices.append([float(field) for field in fields[:3]])
         elif kind == "f":
