@@ -17,13 +17,12 @@ from helpers.command_line import LAPTOP, answer, refused, save_png
 from helpers.command_line import K as K_OPTION
 from helpers.lenses import BROWN, K, seen_through
 from helpers.pages import blocks
+from helpers.tabletop import cloud_of, laptop_view, on_a_table
 from omad.cli.main import run
 from omad.common.errors import InputError
-from omad.data.procedural import generate
 from omad.data.rendering.depth_noise import LEVELS, add_noise
-from omad.data.rendering.standard_views import View, standard_view
 from omad.estimation.categories.ranking import rank, suspected
-from omad.estimation.checks import depth_doubts, doubts
+from omad.estimation.checks import doubts, size_doubts
 from omad.estimation.estimate import Estimate
 from omad.estimation.estimator import Estimator
 from omad.estimation.world import gravity_in_camera, in_world
@@ -33,15 +32,7 @@ from omad.geometry.rigid import carry
 from omad.objects.category_file import get_category
 from omad.sensing.camera_files import CameraFile, read_transform
 from omad.sensing.colour_mask import ColourCamera
-from omad.sensing.cutting.distances import hold_distances
 from omad.sensing.observation import Observation
-
-
-@cache
-def laptop_view() -> View:
-    """One that shows both parts well: of a lid from its edge, a mask holds more of the background than of the lid."""
-    category = get_category("laptop")
-    return standard_view(generate(category, 0, "test"), category, (0, 1003))
 
 
 @cache
@@ -57,24 +48,6 @@ def laptop_observation() -> Observation:
 @cache
 def laptop_estimate() -> Estimate:
     return shared_estimator()(laptop_observation())
-
-
-def cloud_of(depth: np.ndarray) -> np.ndarray:
-    rows, columns = np.nonzero(depth)
-    return np.stack([(columns - 319.5) / 600, (rows - 239.5) / 600, np.ones(len(rows))], 1) * depth[rows, columns, None]
-
-
-@cache
-def on_a_table() -> tuple[np.ndarray, np.ndarray]:
-    """Depth (480, 640) of the laptop on a table, and where in it the laptop is."""
-    view = laptop_view()
-    up = view.T_camera_base[:3, 1]
-    height = (cloud_of(view.depth) @ up).min() - 0.002
-    rows, columns = np.indices(view.depth.shape)
-    rays = np.stack([(columns - 319.5) / 600, (rows - 239.5) / 600, np.ones(view.depth.shape)], -1)
-    table = height / (rays @ up)
-    table = np.where((table > 0) & (table < 3), table, 0)
-    return np.where(view.depth > 0, view.depth, table), np.asarray(view.depth > 0)
 
 
 # depth beside colour
@@ -210,6 +183,14 @@ def test_a_wrong_depth_scale_is_named_with_its_cure():
     assert "1000" in found["size"].cure
 
 
+def test_single_pixels_of_the_background_are_no_odd_size():
+    view = laptop_observation()
+    behind = np.where(np.arange(len(view.points)) % 200 == 0, 4.0, 1.0)  # of a mask's edge, the floor beside a table
+    seen = replace(view, points=(view.points * behind[:, None]).astype(np.float32))
+    assert np.ptp(seen.points, axis=0).max() > 4 * np.ptp(view.points, axis=0).max()
+    assert list(size_doubts(seen, get_category("laptop"))) == []
+
+
 def test_an_uncut_frame_is_named_with_its_cure():
     depth = np.full((480, 640), 4.0)
     depth[:240] = 2.0
@@ -217,40 +198,6 @@ def test_an_uncut_frame_is_named_with_its_cure():
     found = {check.name: check for check in doubts(seen, laptop_estimate())}
     assert "--segment plane" in found["size"].cure
     assert "frame" in found
-
-
-@pytest.mark.parametrize("noisy", [False, True])
-def test_distances_in_place_of_depth_are_told(noisy):
-    depth, mask = on_a_table()
-    depth = add_noise(depth, LEVELS["on"], STANDARD_CAMERA, np.random.default_rng(0)) if noisy else depth
-    assert not hold_distances(cloud_of(depth))
-    rows, columns = np.indices(depth.shape)
-    distances = depth * np.sqrt(1 + ((columns - 319.5) / 600) ** 2 + ((rows - 239.5) / 600) ** 2)
-    assert hold_distances(cloud_of(distances))
-    assert not hold_distances(cloud_of(np.where(mask, distances, 0)))  # without a plane nothing tells it
-    for seen, told in ((depth, []), (distances, ["depth"])):
-        view = Observation.from_depth(seen, K, mask)
-        assert [check.name for check in depth_doubts(view)] == told
-        assert list(depth_doubts(Observation.from_depth(seen, K))) == []  # all of it is the object
-
-
-def test_an_answer_from_distances_is_doubtful(tmp_path, capsys, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    depth, mask = on_a_table()
-    rows, columns = np.indices(depth.shape)
-    save_png("depth.png", depth * np.sqrt(1 + ((columns - 319.5) / 600) ** 2 + ((rows - 239.5) / 600) ** 2))
-    Image.fromarray(mask).save("mask.png")
-    found = answer(capsys, "estimate", "depth.png", *LAPTOP, *K_OPTION, "--mask", "mask.png")
-    assert found["doubtful"]
-    assert "distance from the camera's centre" in next(c for c in found["checks"] if c["name"] == "depth")["what"]
-    for name in ("a", "b"):
-        Path(f"{name}.png").write_bytes(Path("depth.png").read_bytes())
-        Image.fromarray(mask).save(f"{name}.mask.png")
-        np.savetxt(f"{name}.txt", np.eye(4))
-    both = answer(capsys, "estimate", "a.png", "b.png", *LAPTOP, *K_OPTION, "--together", "a.txt", "b.txt")["results"]
-    assert all("depth" in [check["name"] for check in each["checks"]] for each in both)
-    found = answer(capsys, "detect", "depth.png", *K_OPTION, "--categories", "laptop")
-    assert any("distance from the camera's centre" in warning for warning in found["warnings"])
 
 
 def test_few_points_a_bad_fit_and_an_unsure_network_are_named():

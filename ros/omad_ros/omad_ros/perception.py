@@ -6,7 +6,7 @@ from omad.applications.detection.cutting import ObjectFinder
 from omad.applications.detection.detector import Detector
 from omad.applications.tracking.tracker import Tracker
 from omad.common.errors import NothingSeen
-from omad.estimation.checks import no_surer
+from omad.estimation.checks import depth_doubts, no_surer, warned
 from omad.estimation.estimate import Estimate
 from omad.estimation.estimator import Estimator
 from omad.sensing.foreign.cameras import camera_from
@@ -55,7 +55,9 @@ class Perception:
             seen = None
         if self._tracker is not None:
             return self._tracker(seen, time).estimate
-        return None if seen is None else no_surer(self.estimator(seen), seen.likelihood)
+        if seen is None:
+            return None
+        return warned(no_surer(self.estimator(seen), seen.likelihood), [*depth_doubts(seen)])
 
 
 def _taken(image: Any) -> float:

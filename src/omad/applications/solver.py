@@ -14,7 +14,6 @@ from omad.estimation.checks import (
     Check,
     believed,
     camera_doubts,
-    depth_doubts,
     doubts,
     gravity_doubts,
     is_doubtful,
@@ -108,10 +107,9 @@ class Solver:
         self, observation: Observation, estimate: Estimate, found: Sequence[Check], estimator: AnyEstimator
     ) -> list[Check]:
         """What speaks against one of which so much was ``found``: what other estimates of its category say, without
-        gravity and with other focal lengths, and what is seen beside the object."""
+        gravity and with other focal lengths."""
         known = self.known.of(estimator.category)
         checks = gravity_doubts(observation, estimate, known, estimator)
-        checks += depth_doubts(observation)
         if all(check.name == "residual" for check in (*found, *checks)):  # which a wrong focal length may explain, too
             checks += camera_doubts(observation, estimate, lambda views: estimator.first_answers(views, known))
         return checks
@@ -148,7 +146,7 @@ class Solver:
         rows = zip(views, estimates, strict=True)
         found = []
         for view, estimate in rows:
-            checks = [*doubts(view, estimate, depth_scale), *contradictions(estimate), *depth_doubts(view), *of_all]
+            checks = [*doubts(view, estimate, depth_scale), *contradictions(estimate), *of_all]
             found.append(Found.of(no_surer(estimate, view.likelihood), checks))
         return found
 

@@ -9,7 +9,7 @@ import numpy as np
 from omad.common.errors import InputError
 from omad.geometry.rigid import box
 from omad.objects.category import Category
-from omad.sensing.cutting.distances import CURE, TOLD, hold_distances
+from omad.sensing.cutting.not_depth import ENOUGH, Z_BUFFER, NotDepth, may_be_z_buffer, what_else
 from omad.sensing.observation import Observation
 
 from .confidence.signals import cut_off
@@ -30,6 +30,11 @@ ODD_SIZE = 4.0
 """A cloud so many times larger or smaller than usual is none of the category at its size."""
 FACTORS = (0.001, 0.01, 0.1, 0.2, 5.0, 10.0, 100.0, 1000.0)
 """By which depth scales are wrong: millimetres for metres, tenths of millimetres or 1/5000 m for millimetres ..."""
+STRAY = 0.01
+"""Share of a cloud's points, at either end, that are no sign of its size: of what stands on a table single pixels of
+the mask's edge show the floor behind it."""
+SAMPLED = 10_000
+"""Points at most, of which it is told."""
 POINT = 1e-9
 """Metres that no object is smaller than."""
 FOCAL_LENGTHS = (0.5, 2 / 3, 0.8, 1.25, 1.5, 2.0)
@@ -88,6 +93,7 @@ def doubts(observation: Observation, estimate: Estimate, depth_scale: float | No
     category = estimate.category
     return [
         *size_doubts(observation, category, depth_scale),
+        *depth_doubts(observation),
         *_view_doubts(observation),
         *_fit_doubts(estimate),
         *network_doubts(estimate.keypoint_std, category),
@@ -107,6 +113,13 @@ def believed(estimate: Estimate, found: Sequence[Check]) -> Estimate:
     return no_surer(estimate, RARELY) if any(check.grave for check in found) else estimate
 
 
+def warned(estimate: Estimate, found: Sequence[Check]) -> Estimate:
+    """The estimate with what was ``found`` among its warnings, and no surer than that leaves it."""
+    if not found:
+        return estimate
+    return replace(believed(estimate, found), warnings=(*estimate.warnings, *map(str, found)))
+
+
 def no_surer(estimate: Estimate, probability: float) -> Estimate:
     """The estimate, that it is right being no likelier than so."""
     if estimate.probability is None or estimate.probability <= probability:
@@ -116,10 +129,12 @@ def no_surer(estimate: Estimate, probability: float) -> Estimate:
 
 def size_doubts(observation: Observation, category: Category, depth_scale: float | None = None) -> Iterator[Check]:
     """Where the cloud cannot be an object of the category at its size: a wrong depth scale, mostly."""
-    low, high = box(observation.points)
-    size = float(np.linalg.norm(high - low))
+    points = observation.points
+    few = points[:: -(-len(points) // SAMPLED) or 1]
+    ends = box(points), np.quantile(few, (STRAY, 1 - STRAY), axis=0)
+    size, without_strays = (float(np.linalg.norm(high - low)) for low, high in ends)
     usual = USUAL_SIZE * category.metres_per_unit
-    if usual / ODD_SIZE < size < ODD_SIZE * usual:
+    if any(usual / ODD_SIZE < each < ODD_SIZE * usual for each in (size, without_strays)):
         return
     what = f"the cloud is {size:.3g} m across, of a {category.name} about {usual:.2g} m is usual"
     depth, mask = observation.depth, observation.mask
@@ -168,11 +183,19 @@ def depth_doubts(observation: Observation) -> Iterator[Check]:
     depth, camera, mask = observation.depth, observation.camera, observation.mask
     if depth is None or camera is None or mask is None:
         return
-    beside = (depth > 0) & ~mask
-    if np.count_nonzero(beside) < SURROUNDED * beside.size:
+    if may_be_z_buffer(depth):  # or was cut off at 1 m
+        yield _not_depth(Z_BUFFER, grave=False)
+    beside = np.flatnonzero((depth > 0) & ~mask)
+    if len(beside) < SURROUNDED * depth.size:
         return
-    if hold_distances(camera.backproject(np.argwhere(beside)[:, ::-1], depth[beside]).astype(np.float32)):
-        yield Check("depth", TOLD, "the image may hold distances, or be that of a wide lens", CURE, grave=True)
+    rows, columns = np.unravel_index(beside[:: -(-len(beside) // ENOUGH)], depth.shape)
+    points = camera.backproject(np.stack([columns, rows], 1), depth[rows, columns])
+    if (held := what_else(points.astype(np.float32))) is not None:
+        yield _not_depth(held, grave=True)
+
+
+def _not_depth(held: NotDepth, grave: bool) -> Check:
+    return Check("depth", held.told, held.why, held.cure, grave)
 
 
 def camera_doubts(

@@ -21,6 +21,7 @@ from omad.common.incoming import (
     readable,
 )
 from omad.common.limits import check_limit
+from omad.common.lzf import decompressed
 
 from .masks import are_annotations, as_mask, check_one_blurred_thing, of_palette
 
@@ -274,7 +275,7 @@ def _table(path: Path, lines: list[str]) -> np.ndarray:
 
 
 def _read_pcd(path: Path) -> np.ndarray:
-    """x, y, z of a PCD file, ascii or binary."""
+    """x, y, z of a PCD file, whatever its encoding."""
     data = read_bytes(path)
     header: dict[str, list[str]] = {}
     start = 0
@@ -292,10 +293,17 @@ def _read_pcd(path: Path) -> np.ndarray:
     if encoding == "ascii":
         table = _table(path, data[start:].decode("ascii").splitlines())
         return table[:points, np.cumsum([0] + counts)[place]]
-    if encoding == "binary":
+    if encoding in ("binary", "binary_compressed"):
         # padding fields share the name '_', so fields are told apart by index
-        fields = enumerate(zip(header["TYPE"], header["SIZE"], counts, strict=True))
-        record = np.dtype([(f"f{i}", f"<{kind.lower()}{size}", (count,)) for i, (kind, size, count) in fields])
-        table = np.frombuffer(data, record, points, start)
-        return np.concatenate([table[f"f{i}"] for i in place], 1).astype(np.float64)
+        fields = zip(header["TYPE"], header["SIZE"], counts, strict=True)
+        kinds = [np.dtype((f"<{kind.lower()}{size}", (count,))) for kind, size, count in fields]
+        record = np.dtype([(f"f{i}", kind) for i, kind in enumerate(kinds)])
+        if encoding == "binary":
+            table = np.frombuffer(data, record, points, start)
+            return np.concatenate([table[f"f{i}"] for i in place], 1).astype(np.float64)
+        length = int.from_bytes(data[start : start + 4], "little")  # and that of what it holds, which the header tells
+        columns = decompressed(data[start + 8 : start + 8 + length], points * record.itemsize)
+        starts = points * np.cumsum([0, *(kind.itemsize for kind in kinds)])  # field after field
+        found = [np.frombuffer(columns, kinds[i], points, int(starts[i])) for i in place]
+        return np.concatenate(found, 1).astype(np.float64)
     raise InputError(f"{path}: PCD encoding {encoding!r} is not supported; save it as ascii or binary")

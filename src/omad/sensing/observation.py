@@ -240,7 +240,7 @@ class Observation:
         kept, warnings = _select(cloud, segment)
         depth = cloud[kept, 2]
         if (behind := float((depth <= 0).mean())) > 0.5:
-            cure = "turn z forward (of OpenGL's axes, y and z times -1)"
+            cure = "turn z forward (of OpenGL's axes, y and z times -1; of those with x forward, -y, -z, x)"
             raise InputError(f"points: {behind:.0%} of them lie behind the camera; {cure}")
         beside = depth < NEAREST * np.median(depth)
         if 0 < (count := np.count_nonzero(beside)) <= FEW * len(kept):  # their rays are far from all others

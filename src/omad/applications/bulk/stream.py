@@ -22,6 +22,7 @@ from omad.common.batches import batched
 from omad.common.errors import InputError, shown
 from omad.common.files import one_line
 from omad.common.runtime import cores
+from omad.estimation.checks import depth_doubts, warned
 from omad.estimation.estimate import Estimate
 from omad.estimation.estimator import Estimator
 from omad.sensing.observation import Observation
@@ -158,9 +159,22 @@ def _itself(observation: Observation) -> Observation:
 def _outcomes(estimator: Estimator, frames: Sequence[Frame]) -> list[Outcome]:
     """Of one batch, in order."""
     read = [attempt(frame.load) for frame in frames]
-    found = estimates_of(estimator, read)
+    found = _asked_for_depth(read, estimates_of(estimator, read))
     rows = [(None, why(each)) if isinstance(each, Exception) else (each, None) for each in found]
     return [Outcome(frame.name, *row) for frame, row in zip(frames, rows, strict=True)]
+
+
+def _asked_for_depth(
+    read: Sequence[Observation | Exception], answers: Sequence[Estimate | Exception]
+) -> Iterator[Estimate | Exception]:
+    """Answers with what is to be doubted where images do not hold depth. Those of one batch are alike, mostly: while
+    the first holds depth, the others, which would take half as long again, are not asked."""
+    alike = False
+    for view, answer in zip(read, answers, strict=True):
+        if not alike and isinstance(view, Observation) and isinstance(answer, Estimate):
+            doubts = [*depth_doubts(view)]
+            alike, answer = not doubts, warned(answer, doubts)
+        yield answer
 
 
 def estimates_of(estimator: Estimator, read: Sequence[Observation | Exception]) -> list[Estimate | Exception]:

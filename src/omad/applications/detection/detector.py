@@ -20,7 +20,7 @@ from omad.model.proposals.network import Proposer, shipped_proposer
 from omad.objects.category import Category
 from omad.objects.category_file import get_category
 from omad.sensing.cutting.angles import angle_doubts
-from omad.sensing.cutting.distances import CURE, TOLD, hold_distances
+from omad.sensing.cutting.not_depth import what_else
 from omad.sensing.cutting.segmentation import WITHIN, things_alone, things_before_planes
 from omad.sensing.observation import Observation
 from omad.sensing.steadying import steadied
@@ -270,8 +270,8 @@ def measured_margin(frame: Observation) -> float:
 
 def _bent(frame: Observation) -> Iterator[str]:
     """Where depth images hold something else."""
-    if measured_margin(frame) >= TOUCHED and hold_distances(frame.points):
-        yield f"{TOLD}; {CURE}"
+    if measured_margin(frame) >= TOUCHED and (held := what_else(frame.points)) is not None:
+        yield str(held)
 
 
 def _unsupported(frame: Observation, planes: np.ndarray, judged: Sequence[Detection]) -> Iterator[str]:

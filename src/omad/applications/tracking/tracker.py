@@ -22,7 +22,7 @@ from scipy.stats import chi2
 from omad.common.arrays import as_doubles
 from omad.common.errors import InputError, shown
 from omad.estimation.categories.late import AnyEstimator
-from omad.estimation.checks import no_surer
+from omad.estimation.checks import Check, depth_doubts, no_surer, warned
 from omad.estimation.confidence.model import RIGHT_ANGLE, RIGHT_SHARE
 from omad.estimation.estimate import Estimate
 from omad.estimation.known import NOTHING_KNOWN, Known, Near, check_known
@@ -165,6 +165,8 @@ class Tracker:
         self._track: _Track | None = None
         self._candidate: Estimate | None = None
         """The last answer that no track believed: a second one that agrees with it starts a track."""
+        self._doubts: list[Check] = []
+        """Of whether images hold depth, as the last cold start found."""
         self._time = -np.inf
         self.shape = self._category_shape()
 
@@ -188,7 +190,7 @@ class Tracker:
         if observation is None:
             return self._miss(track, None, None)
         known, cold = _of_one_hand(known, track.last), None
-        single = no_surer(self.estimator.near(observation, self._near(track), known), observation.likelihood)
+        single = self._judged(self.estimator.near(observation, self._near(track), known), observation)
         if time - track.believed > self.config.lost_after:  # unseen for so long, it may be anywhere
             cold = self._cold(observation, known)
             single = max(single, cold, key=evidence)
@@ -219,7 +221,11 @@ class Tracker:
         return TrackedEstimate(time, "lost", None, cold)
 
     def _cold(self, observation: Observation, known: Known) -> Estimate:
-        return no_surer(self.estimator(observation, known), observation.likelihood)
+        self._doubts = [*depth_doubts(observation)]
+        return self._judged(self.estimator(observation, known), observation)
+
+    def _judged(self, single: Estimate, observation: Observation) -> Estimate:
+        return warned(no_surer(single, observation.likelihood), self._doubts)
 
     def _start(self, single: Estimate, time: float) -> TrackedEstimate:
         """Begin a track at an answer. The shape believed so far is kept where it may be the same object's."""

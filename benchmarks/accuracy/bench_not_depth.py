@@ -1,7 +1,7 @@
-"""How often images that hold distances from the camera's centre in place of depth are told, and right ones taken for
-such.
+"""How often images that hold distances from the camera's centre or inverse depth in place of depth are told, and right
+ones taken for such.
 
-    OMP_NUM_THREADS=1 python benchmarks/accuracy/bench_distances.py [--scenes 60]
+    OMP_NUM_THREADS=1 python benchmarks/accuracy/bench_not_depth.py [--scenes 60]
 
 Scenes are those of ``bench_detect.py``: three to six unseen objects on a table, a floor, a table beside a wall or a
 floor before one, boxes and cans among them, with camera noise.
@@ -17,7 +17,7 @@ from bench_detect import KINDS
 
 from omad.data.rendering.depth_noise import ON
 from omad.data.rendering.tabletop import Tabletop, draw_tabletop
-from omad.sensing.cutting.distances import hold_distances
+from omad.sensing.cutting.not_depth import DISTANCES, INVERSE, what_else
 
 ASKED = "table", "floor", "walled", "room"
 
@@ -30,23 +30,24 @@ class Config:
     """Of each kind."""
 
 
-def told(scene: Tabletop) -> tuple[bool, bool]:
-    """Whether the image is taken for one of distances: as it is, and as such."""
+def told(scene: Tabletop) -> tuple[bool, bool, bool]:
+    """Whether the image is taken for something else: as it is; and for what it holds: distances, inverse depth."""
     rows, columns = np.nonzero(scene.depth)
     depth = scene.depth[rows, columns].astype(np.float64)
-    points = scene.camera.backproject(np.stack([columns, rows], 1), depth)
-    far = np.linalg.norm(points, axis=1, keepdims=True)
-    return hold_distances(points.astype(np.float32)), hold_distances((points * far / depth[:, None]).astype(np.float32))
+    rays = scene.camera.backproject(np.stack([columns, rows], 1), np.ones(len(depth)))
+    held = depth, depth * np.linalg.norm(rays, axis=1), 1 / depth
+    right, distances, inverse = (what_else((rays * numbers[:, None]).astype(np.float32)) for numbers in held)
+    return right is not None, distances is DISTANCES, inverse is INVERSE
 
 
 def main(config: Config) -> None:
-    print("| scenes | told of distances | of depth |\n|---|---|---|")
+    print("| scenes | told of distances | of inverse depth | of depth |\n|---|---|---|---|")
     for number, (kind, (categories, largest, around)) in enumerate(KINDS.items()):
         if kind in ASKED:
             seeds = ((index, number) for index in range(config.scenes))
             drawn = (draw_tabletop(categories, seed, "test", ON, largest, surroundings=around) for seed in seeds)
-            right, wrong = np.sum([told(scene) for scene in drawn], axis=0)
-            print(f"| {kind} | {wrong} of {config.scenes} | {right} |", flush=True)
+            right, distances, inverse = np.sum([told(scene) for scene in drawn], axis=0)
+            print(f"| {kind} | {distances} of {config.scenes} | {inverse} | {right} |", flush=True)
 
 
 if __name__ == "__main__":
