@@ -39,8 +39,9 @@ def generate(rng: np.random.Generator, category: Category, unusual: np.random.Ge
 
     crude = rng.random() < 0.12
     body += [front.slab(-depth, 0.0)] if crude else case.walls()
-    behind = depth * unusual.choice([0.0, unusual.uniform(0.0, 0.15)]) if unusual and cooker else 0.0
-    if behind:  # the body is deeper above
+    behind = 0.0
+    if unusual and cooker and unusual.random() < 0.5:  # the body is deeper above
+        behind = depth * unusual.uniform(0.0, 0.15)
         body.append(replace(front, y0=height * unusual.uniform(0.1, 0.9)).slab(-depth - behind, -depth))
     sink = thickness - hinge + 0.004  # how far the shut door's foot comes down
     body += _fronts(rng, front, outer.y0 - sink, outer.y1 + 0.002, thickness, hinge, unusual)
