@@ -226,6 +226,9 @@ def test_it_keeps_no_array_of_the_callers():
 def test_the_fingerprint_follows_basis_and_category():
     assert prior_fingerprint(prior(), LAPTOP) == prior_fingerprint(prior(), LAPTOP)
     assert prior_fingerprint(prior(1), LAPTOP) != prior_fingerprint(prior(), LAPTOP)
+    loose = prior()
+    loose.loosen(torch.ones(1, 3, 2))
+    assert prior_fingerprint(loose, LAPTOP) != prior_fingerprint(prior(), LAPTOP)
 
 
 def test_a_crash_while_writing_leaves_the_old_index(tmp_path, monkeypatch):

@@ -114,10 +114,11 @@ class Space:
 
 
 def prior_fingerprint(prior: OmadPrior, category: Category) -> str:
-    """Tells one prior from another: 16 hexadecimal digits of the category's parts and unit, and of the basis."""
+    """Tells one prior from another: 16 hexadecimal digits of the category's parts and unit, and of what beta moves."""
     parts = [(part.name, part.keypoints, part.mirror) for part in category.parts]
     digest = hashlib.sha256(repr((category.name, category.metres_per_unit, parts)).encode())
-    digest.update(np.ascontiguousarray(prior.learned_basis.detach().cpu().numpy(), dtype="<f4").tobytes())
+    for basis in (prior.learned_basis, prior.pivot_basis):
+        digest.update(np.ascontiguousarray(basis.detach().cpu().numpy(), dtype="<f4").tobytes())
     return digest.hexdigest()[:16]
 
 
