@@ -4,7 +4,8 @@
 
 Writes ``tests/golden/golden_<category>.npz``: standard views of half as many objects, noise off and on in turn, 1200
 points stored in steps of 0.2 mm. Default: of categories with weights that have none yet.
-Cabinets with one door have 150 views, staplers and desk lamps 48, suitcases 40, chests of three drawers 60.
+Cabinets with one door have 150 views, staplers, desk lamps and refrigerators with two doors 48, suitcases 40, chests of
+three drawers 60.
 """
 
 from __future__ import annotations
