@@ -53,9 +53,9 @@ LIMITS = {
 PASSED_OVER = {"cabinet_one_door": 6, "desk_lamp": 3, "drawer_5": 5}
 """Of 24 answers, at most so many are doubtful, or take the object for one of the other hand; 1 of other categories. Of
 these at most ``DOUBTED_IN_VAIN`` are right. Of cabinets with one door there are 150, as two shut doors among 24 decide
-how far axes are off, 48 of staplers, whose magazine has no visible hinge, and of desk lamps, whose head is small, and of
-refrigerators with two doors, whose states differ by a tenth of themselves from one 24 to the next, as axes do of chests
-of three drawers, of which there are 60, and 40 of suitcases, one of which is 40 degrees off without being doubtful."""
+how far axes are off, 48 of staplers, whose magazine has no visible hinge, of desk lamps, whose head is small, and of
+refrigerators with two doors, whose states differ by a tenth from one 24 to the next, as axes do of chests of three
+drawers, of which there are 60, and 40 of suitcases, one of which is 40 degrees off without being doubtful."""
 DOUBTED_IN_VAIN = {"cabinet_one_door": 3}
 RIGHT = 10, 0.1
 """Errors in degrees and category units of joint states up to which an answer is right."""
