@@ -1,5 +1,6 @@
 """Backbone and networks against brute force, and the properties that users rely on."""
 
+import copy
 import json
 
 import pytest
@@ -139,15 +140,19 @@ def test_a_network_learns_to_tell_outside_from_one_that_did_not(net, tmp_path):
 
 
 @torch.no_grad()
-def test_a_network_starts_with_a_prior_that_speaks_of_the_same_keypoints_otherwise(net):
-    turned = PriorNet(net.category).prior
+@pytest.mark.parametrize("loose", [(0, 0), (2, 0), (0, 2), (2, 1)], ids=str)
+def test_a_network_starts_with_a_prior_that_speaks_of_the_same_keypoints_otherwise(net, loose):
+    turned, net = PriorNet(net.category).prior, copy.deepcopy(net)
     turned.load_state_dict(net.prior.state_dict())
     turn = torch.linalg.qr(torch.randn(2 * (turned.basis_size,), generator=torch.Generator().manual_seed(0))).Q
     turned.learned_basis.copy_(turned.learned_basis @ turn)
     turned.beta_mean.copy_(turn.mT @ turned.beta_mean + 0.1)
+    for prior, count in zip((turned, net.prior), loose, strict=True):
+        prior.loosen(torch.ones(1, 3, count))
     own = OmadNet(net.category, turned, net.backbone.config)
     own.start_from(net)
     assert torch.equal(own.prior.basis, turned.basis)
+    assert own.prior.pivot_basis.shape == (1, 3, loose[0])
     points = torch.randn(2, net.backbone.config.points, 3, generator=torch.Generator().manual_seed(0))
     before, after = net(points), own(points)
     torch.testing.assert_close(turned.keypoints(after.beta), net.prior.keypoints(before.beta), atol=1e-4, rtol=0)

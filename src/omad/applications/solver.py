@@ -10,15 +10,7 @@ import numpy as np
 from omad.common.errors import InputError
 from omad.estimation.categories.late import AnyEstimator
 from omad.estimation.categories.ranking import Ranking, rank, suspected
-from omad.estimation.checks import (
-    Check,
-    believed,
-    camera_doubts,
-    doubts,
-    gravity_doubts,
-    is_doubtful,
-    no_surer,
-)
+from omad.estimation.checks import Check, believed, camera_doubts, doubts, gravity_doubts, is_doubtful, no_surer
 from omad.estimation.estimate import Estimate
 from omad.estimation.estimator import Estimator
 from omad.estimation.known import NOTHING_KNOWN, Known

@@ -105,10 +105,10 @@ class OmadNet(Network):
     def start_from(self, other: Self) -> None:
         """Take over the weights of another network, which may tell no points outside the object yet. Where its prior is
         another one, its beta is translated: keypoints stay where they were, as nearly as the own basis can."""
-        weights = other.state_dict()
+        weights = {name: tensor for name, tensor in other.state_dict().items() if not name.startswith("prior.")}
         if self.tells_outside and not other.tells_outside:
             weights |= {name: nn.functional.pad(weights[name], pad) for name, pad in NEW_CLASS.items()}
-        if not torch.equal(self.prior.basis, other.prior.basis):
+        if not torch.equal(self.prior.learned_basis, other.prior.learned_basis):
             translate = self.prior.encode(other.prior.basis.permute(2, 0, 1)).mT[: self.prior.shape_size]
             translate = translate[:, : other.prior.shape_size]
             weight, bias = weights["shape_branch.2.weight"], weights["shape_branch.2.bias"]

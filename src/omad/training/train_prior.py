@@ -26,6 +26,9 @@ from .processes import ALONE, Processes
 
 FOLLOWED = 512
 """Clouds by which a prior to fine-tune is told its own basis."""
+LOOSE = 2
+"""Loose numbers of beta, where any joint turns: across one axis there are no more directions, and the hinges of one
+object are off alike."""
 
 
 @dataclass(frozen=True)
@@ -188,11 +191,6 @@ def finish_prior(
         decay.step()
     prior.requires_grad_(False)
     loosen_pivots(prior, beta, objects)
-
-
-LOOSE = 2
-"""Loose numbers of beta, where any joint turns: across one axis there are no more directions, and the hinges of one
-object are off alike."""
 
 
 @torch.no_grad()

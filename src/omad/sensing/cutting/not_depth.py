@@ -21,8 +21,6 @@ LEAST, LEAST_INVERTED = 0.15, 0.3
 whose own planes are too rough to be found, has some that hold 0.2."""
 ENOUGH = 20_000
 """Points."""
-
-
 NOTHING_DRAWN = 0.01
 """Share of a z-buffer's pixels where it still holds what it was cleared with."""
 
