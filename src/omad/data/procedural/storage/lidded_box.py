@@ -13,12 +13,15 @@ from ..vocabulary.vessels import Lid, Outline, lid
 
 
 def generate(rng: np.random.Generator, category: Category, unusual: np.random.Generator | None) -> JointedParts:
-    """One box, shut, hinged at the back. Body on y = 0 .. rim, its middle at x = z = 0."""
+    """One box, shut, hinged at the back. Body on y = 0 .. rim, its middle at x = z = 0. Unusual ones have no sharp
+    edge."""
     width = rng.uniform(0.3, 0.5)
     depth, rim = width * rng.uniform(0.5, 1.0), width * rng.uniform(0.15, 0.6)
     wall = min(rng.choice([rng.uniform(0.001, 0.004), rng.uniform(0.004, 0.018)]), 0.06 * width)
     tall = rim * rng.choice([rng.uniform(0.06, 0.25), rng.uniform(0.2, 0.6)])
     outline = Outline(width, depth, rng.choice([0.0, rng.uniform(0.0, 0.4)]))
+    if unusual:
+        outline = Outline(width, depth, unusual.uniform(0.05, 0.4), width * unusual.uniform(0.02, 0.12))
     flare = rng.uniform(0.85, 1.0) if rng.random() < 0.25 else 1.0
     floor = max(wall * rng.uniform(0.8, 2.0), 0.002)
     if rng.random() < 0.4:  # a tray, padding, or what it is full of, below where a lid's lip comes
@@ -27,8 +30,9 @@ def generate(rng: np.random.Generator, category: Category, unusual: np.random.Ge
     inner = Rect(-width * flare / 2 + wall, width * flare / 2 - wall, -depth * flare / 2, depth * flare / 2)
     if rng.random() < 0.3:
         high = floor + (rim - floor) * rng.uniform(0.4, 0.95)
-        body += _dividers(rng, inner.grown(0.0, -wall), floor, high, 0.6 * wall)
-    body += feet(rng, flare * width / 2, flare * depth, 0.06 * rim, flare * depth / 2)
+        body += _dividers(rng, inner.grown(-outline.fillet, -wall - outline.fillet), floor, high, 0.6 * wall)
+    level = Rect(-width * flare / 2, width * flare / 2, -depth * flare / 2, depth * flare / 2).grown(-outline.fillet)
+    body += feet(rng, level.x1, level.height, 0.06 * rim, level.y1)
 
     top = _barrel(rng, width, depth, rim, tall) if rng.random() < 0.12 else lid(rng, outline, rim, wall, tall)
     moving = list(top.solids)

@@ -8,7 +8,7 @@ from omad.geometry.mesh import Mesh, merge_meshes
 
 from ..shapes import JointedParts, box, cylinder, frame, loft, points, slab, spline, sweep, taper, tube
 from .cases import Case, Rect, controls, shelves, surround
-from .doors import bow, fitted, leaf, liner, pivot_at_side
+from .doors import bow, fitted, fixed_fronts, leaf, liner, pivot_at_side
 from .handles import Pull, handle
 from .racks import rack
 from .stands import feet, stand
@@ -17,6 +17,6 @@ from .vessels import Lid, Outline, lid, turned
 
 __all__ = [
     "Case", "JointedParts", "Lid", "Mesh", "Outline", "Pull", "Rect", "bow", "box", "controls", "cylinder", "feet",
-    "fitted", "frame", "handle", "leaf", "lid", "liner", "loft", "merge_meshes", "pivot_at_side", "points", "rack",
-    "shelves", "slab", "spline", "stand", "surround", "sweep", "taper", "tray", "tube", "turned",
+    "fitted", "fixed_fronts", "frame", "handle", "leaf", "lid", "liner", "loft", "merge_meshes", "pivot_at_side",
+    "points", "rack", "shelves", "slab", "spline", "stand", "surround", "sweep", "taper", "tray", "tube", "turned",
 ]  # fmt: skip

@@ -1,5 +1,6 @@
-"""Doors: their leaves, what is behind them, and where they hang."""
+"""Doors: their leaves, what is behind them, and where they hang; and fronts that do not open."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -8,6 +9,7 @@ from omad.geometry.mesh import Mesh
 
 from ..shapes import box, column, frame, slab
 from .cases import Rect, surround
+from .handles import handle
 
 
 def fitted(
@@ -99,4 +101,19 @@ def liner(rng: np.random.Generator, door: Rect, back: float, mouth: Rect, deepes
     if rng.random() < 0.5:
         for y in field.y0 + field.height * (np.arange(int(rng.integers(1, 5))) + 0.1) / 4:
             solids.append(box((field.x0 + rim, y, back - step), (field.x1 - rim, y + 0.02 * field.height, back)))
+    return solids
+
+
+def fixed_fronts(rng: np.random.Generator, opening: Rect) -> list[Mesh]:
+    """What closes an opening in the front for good, if anything: a panel, or the fronts of drawers."""
+    if rng.random() > 0.4:
+        return []
+    edges = np.linspace(opening.y0, opening.y1, rng.integers(2, 6))
+    front, style, plain = rng.uniform(-0.004, 0.02), int(rng.integers(2**31)), rng.random() < 0.3
+    solids = list[Mesh]()
+    for low, high in pairwise(edges):
+        face = replace(opening, y0=low, y1=high).grown(-0.0015)
+        solids.append(face.slab(-0.012, front))
+        if not plain and face.height > 0.05:
+            solids += handle(np.random.default_rng(style), face, front, "top", 0.5)  # alike
     return solids

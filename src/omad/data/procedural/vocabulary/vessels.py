@@ -1,7 +1,7 @@
 """Bodies that are open above, and their lids: of boxes, bins, buckets, jars."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,6 +18,8 @@ class Outline:
     depth: float
     corner: float
     """Radius as a share of half the shorter side: 1 is a disc, or the outline of a running track."""
+    fillet: float = 0.0
+    """Radius at which the sides of a shell turn into its floor; less in one that is not so tall."""
 
     def ring(self, y: float, grown: float = 0.0, scale: float = 1.0) -> np.ndarray:
         """(n, 3) points at height ``y``, each side moved out by ``grown`` after scaling."""
@@ -36,8 +38,15 @@ class Outline:
         up = 1.0 if rim > foot else -1.0
         share = floor / abs(rim - foot)
         inner = flare + (1 - flare) * share
-        rings = self.ring(foot, 0.0, flare), self.ring(rim), self.ring(rim, -wall)
-        return loft(np.stack([*rings, self.ring(foot + up * floor, -wall, inner)]))
+        outside = min(self.fillet, 0.9 * abs(rim - foot))
+        inside = max(outside - wall, 0.0)
+        turns = np.linspace(0.0, np.pi / 2, 4) if outside else [np.pi / 2]
+        rings = [self.ring(foot + up * outside * (1 - np.cos(t)), -outside * (1 - np.sin(t)), flare) for t in turns]
+        rings += [self.ring(rim), self.ring(rim, -wall)]
+        for t in turns[::-1] if inside else [np.pi / 2]:
+            rise = max(floor, outside - inside * np.cos(t))
+            rings.append(self.ring(foot + up * rise, -wall - inside * (1 - np.sin(t)), inner))
+        return loft(np.stack(rings))
 
     def hoop(self, y0: float, y1: float, inside: float, outside: float) -> Mesh:
         """A band around it between two heights, from ``inside`` within its outline to ``outside``."""
@@ -89,7 +98,7 @@ def lid(rng: np.random.Generator, outline: Outline, rim: float, wall: float, tal
     if kind < 0.8:
         lap = rng.uniform(0.1, 0.5) * tall if rng.random() < 0.4 else 0.0
         over = thick + 0.001 if lap else 0.0
-        size = Outline(outline.width + 2 * over, outline.depth + 2 * over, outline.corner)
+        size = replace(outline, width=outline.width + 2 * over, depth=outline.depth + 2 * over)
         top = seat + tall * rng.uniform(0.35, 1.0) + thick
         solids = [size.shell(top, seat - lap, thick, thick, rng.choice([1.0, rng.uniform(0.8, 1.0)]))]
         return Lid(solids, seat - lap, over, top)
