@@ -9,7 +9,7 @@ from omad.objects.category import Category
 
 from ..shapes import JointedParts, box, cylinder, points, slab
 from ..vocabulary.cases import Case, Rect, controls
-from ..vocabulary.doors import fitted, leaf, liner
+from ..vocabulary.doors import fitted, leaf, liner, pressed
 from ..vocabulary.handles import handle
 from ..vocabulary.racks import rack
 from ..vocabulary.stands import feet
@@ -18,7 +18,7 @@ from ..vocabulary.stands import feet
 def generate(rng: np.random.Generator, category: Category, unusual: np.random.Generator | None) -> JointedParts:
     """One oven, door closed, hinged below. Body on y = 0 .. height, its front plane at z = 0, the room at +z. Unusual
     ones have a tall drawer flush with the door, a hob that juts out to the front or to the back, and a back that is
-    stepped."""
+    stepped; or all of them is sheet, with no tub inside."""
     cooker = rng.random() < 0.65
     width = rng.uniform(0.5, 0.9) if cooker else rng.uniform(0.42, 0.75)
     height = rng.uniform(0.7, 1.0) if cooker else width * rng.uniform(0.55, 1.1)
@@ -38,7 +38,9 @@ def generate(rng: np.random.Generator, category: Category, unusual: np.random.Ge
     pivot = np.array([0.0, door.y0 + rng.choice([0.0, rng.uniform(0.0, 0.3)]) * hinge, hinge])
 
     crude = rng.random() < 0.12
-    body += [front.slab(-depth, 0.0)] if crude else case.walls()
+    sheet = unusual.uniform(0.001, 0.01) if unusual and unusual.random() < 0.4 else 0.0
+    tub = not (crude or sheet)
+    body += case.sheet(sheet) if sheet else [front.slab(-depth, 0.0)] if crude else case.walls()
     behind = 0.0
     if unusual and cooker and unusual.random() < 0.5:  # the body is deeper above
         behind = depth * unusual.uniform(0.0, 0.15)
@@ -48,15 +50,16 @@ def generate(rng: np.random.Generator, category: Category, unusual: np.random.Ge
     if cooker:
         body += _hob(rng, width, height, depth, thickness, behind, unusual)
     body += feet(rng, width / 2, depth, 0.08)
-    if not crude:
+    if tub:
         for level in sorted(rng.uniform(0.1, 0.8, int(rng.integers(0, 4)))):
             y = mouth.y0 + level * mouth.height
             body += rack(rng, mouth.width / 2 - 0.01, y, mouth.y1, -depth + case.back + 0.02, -0.06)
 
-    moving = leaf(rng, door, 0.0005, thickness, windows=0.5, panels=0.3)
+    faces = 0.0005, thickness
+    moving = pressed(rng, door, *faces) if sheet else leaf(rng, door, *faces, windows=0.5, panels=0.3)
     if rng.random() < 0.85:
         moving += handle(rng, door, thickness, "top", rng.uniform(0.6, 1.0))
-    if not crude and rng.random() < 0.6:
+    if tub and rng.random() < 0.6:
         moving += liner(rng, door, 0.0, mouth, 0.05)
     return JointedParts((merge_meshes(body), merge_meshes(moving)), pivot[None])
 

@@ -7,6 +7,7 @@ from omad.objects.category import Category
 
 from ..shapes import JointedParts, box, cylinder, loft, points
 from ..vocabulary.cases import Rect
+from ..vocabulary.contents import contents
 from ..vocabulary.handles import handle
 from ..vocabulary.stands import feet
 from ..vocabulary.vessels import Lid, Outline, lid
@@ -14,7 +15,7 @@ from ..vocabulary.vessels import Lid, Outline, lid
 
 def generate(rng: np.random.Generator, category: Category, unusual: np.random.Generator | None) -> JointedParts:
     """One box, shut, hinged at the back. Body on y = 0 .. rim, its middle at x = z = 0. Unusual ones have no sharp
-    edge."""
+    edge, and may be full of things."""
     width = rng.uniform(0.3, 0.5)
     depth, rim = width * rng.uniform(0.5, 1.0), width * rng.uniform(0.15, 0.6)
     wall = min(rng.choice([rng.uniform(0.001, 0.004), rng.uniform(0.004, 0.018)]), 0.06 * width)
@@ -31,6 +32,9 @@ def generate(rng: np.random.Generator, category: Category, unusual: np.random.Ge
     if rng.random() < 0.3:
         high = floor + (rim - floor) * rng.uniform(0.4, 0.95)
         body += _dividers(rng, inner.grown(-outline.fillet, -wall - outline.fillet), floor, high, 0.6 * wall)
+    if unusual and unusual.random() < 0.6:
+        below = max(rim - 0.4 * tall - 0.004, 0.5 * (floor + rim))
+        body += contents(unusual, inner.grown(-outline.fillet, -wall - outline.fillet), floor - 1e-4, below)
     level = Rect(-width * flare / 2, width * flare / 2, -depth * flare / 2, depth * flare / 2).grown(-outline.fillet)
     body += feet(rng, level.x1, level.height, 0.06 * rim, level.y1)
 

@@ -8,7 +8,8 @@ from omad.geometry.mesh import Mesh, merge_meshes
 
 from ..shapes import JointedParts, box, cylinder, frame, loft, points, slab, spline, sweep, taper, tube
 from .cases import Case, Rect, controls, shelves, surround
-from .doors import bow, fitted, fixed_fronts, leaf, liner, pivot_at_side
+from .contents import contents
+from .doors import bow, fitted, fixed_fronts, leaf, liner, pivot_at_side, pressed
 from .handles import Pull, handle
 from .racks import rack
 from .stands import feet, stand
@@ -16,7 +17,8 @@ from .trays import tray
 from .vessels import Lid, Outline, lid, turned
 
 __all__ = [
-    "Case", "JointedParts", "Lid", "Mesh", "Outline", "Pull", "Rect", "bow", "box", "controls", "cylinder", "feet",
-    "fitted", "fixed_fronts", "frame", "handle", "leaf", "lid", "liner", "loft", "merge_meshes", "pivot_at_side",
-    "points", "rack", "shelves", "slab", "spline", "stand", "surround", "sweep", "taper", "tray", "tube", "turned",
+    "Case", "JointedParts", "Lid", "Mesh", "Outline", "Pull", "Rect", "bow", "box", "contents", "controls",
+    "cylinder", "feet", "fitted", "fixed_fronts", "frame", "handle", "leaf", "lid", "liner", "loft", "merge_meshes",
+    "pivot_at_side", "points", "pressed", "rack", "shelves", "slab", "spline", "stand", "surround", "sweep", "taper",
+    "tray", "tube", "turned",
 ]  # fmt: skip

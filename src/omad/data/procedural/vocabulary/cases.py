@@ -1,7 +1,7 @@
 """Bodies with a cavity that is open to the front."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -94,6 +94,13 @@ class Case:
             box((mouth.x0, mouth.y1, -self.depth), (mouth.x1, front.y1, 0)),
             mouth.slab(-self.depth, -self.depth + self.back),
         ]
+
+    def sheet(self, skin: float) -> list[Mesh]:
+        """The same outside and the same mouth, all of sheet so thick, or as thin as its thinnest wall: its cavity is as
+        large as it is, as no tub is in it."""
+        skin = min(skin, self.left, self.right, self.bottom, self.top, self.back)
+        thin = replace(self, left=skin, right=skin, bottom=skin, top=skin, back=skin)
+        return [*thin.walls(), *surround(thin.mouth, self.mouth, -skin, 0.0)]
 
     def arched_walls(self, radius: float) -> list[Mesh]:
         """Those of a case whose upper corners are rounded by so much, and its mouth's with them."""

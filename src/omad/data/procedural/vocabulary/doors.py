@@ -58,13 +58,20 @@ def leaf(
         if rng.random() < 0.4:
             solids.append(inner.grown(-0.25 * rim).slab(back + 0.3 * thick, front - sunk * rng.uniform(0.0, 0.7)))
         return solids
-    if kind > 0.92:  # a skin with rims behind
-        rim, skin = max(rng.uniform(0.02, 0.08) * small, 0.003), front - thick * rng.uniform(0.15, 0.5)
-        return [slab((door.x0, door.y0, skin), high, 2, min(radius, rim)), *frame(low, (*high[:2], skin), rim, rim)]
+    if kind > 0.92:
+        return pressed(rng, door, back, front, radius)
     solids = [slab(low, high, 2, radius, rng.choice([0.0, rng.uniform(0.0, 0.4)]) * thick)]
     if rng.random() < 0.15:
         solids += bow(door, back + 0.5 * thick, front, rng.uniform(0.02, 0.08) * door.width)
     return solids
+
+
+def pressed(rng: np.random.Generator, door: Rect, back: float, front: float, radius: float = 0.0) -> list[Mesh]:
+    """A door of sheet: a skin with rims behind, its corners rounded by ``radius`` at most."""
+    rim = max(rng.uniform(0.02, 0.08) * min(door.width, door.height), 0.003)
+    skin = front - (front - back) * rng.uniform(0.15, 0.5)
+    face = slab((door.x0, door.y0, skin), (door.x1, door.y1, front), 2, min(radius, rim))
+    return [face, *frame((door.x0, door.y0, back), (door.x1, door.y1, skin), rim, rim)]
 
 
 def bow(door: Rect, back: float, front: float, rise: float) -> list[Mesh]:
