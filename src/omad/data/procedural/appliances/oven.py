@@ -17,8 +17,8 @@ from ..vocabulary.stands import feet
 
 def generate(rng: np.random.Generator, category: Category, unusual: np.random.Generator | None) -> JointedParts:
     """One oven, door closed, hinged below. Body on y = 0 .. height, its front plane at z = 0, the room at +z. Unusual
-    ones have a tall drawer flush with the door, a hob that juts out to the front or to the back, and a back that is
-    stepped; or all of them is sheet, with no tub inside."""
+    ones have a tall drawer flush with the door, a hob that juts out to the front or to the back, a panel behind the
+    body, and a back that is stepped; or all of them is sheet, with no tub inside."""
     cooker = rng.random() < 0.65
     width = rng.uniform(0.5, 0.9) if cooker else rng.uniform(0.42, 0.75)
     height = rng.uniform(0.7, 1.0) if cooker else width * rng.uniform(0.55, 1.1)
@@ -109,11 +109,13 @@ def _hob(rng: np.random.Generator, width, height, depth, thickness, behind, unus
         if rng.random() < 0.6:
             face = Rect(-0.8 * x, 0.8 * x, y + 0.3 * rise, y + 0.9 * rise)
             panel += controls(rng, face, -depth + thick, 6)
-        if unusual:
+        if unusual:  # narrower, slanted, farther back, and down behind the body
             share, slant = [unusual.uniform(0.75, 1.0), 1.0, 1.0], unusual.choice([0.0, unusual.uniform(0.0, 0.5)])
-            back = behind + unusual.uniform(0.0, 0.8) * thick
+            back, drop = behind + unusual.uniform(0.0, 1.0) * thick, unusual.uniform(0.002, 0.2) * height
+            panel += [box((-x, y - drop, -depth), (x, y, -depth + thick))] if unusual.random() < 0.5 else []
             panel = [
-                solid.warped(lambda at: at * share - points(0.0, 0.0, back + slant * (at[:, 1] - y))) for solid in panel
+                solid.warped(lambda at: at * share - points(0.0, 0.0, back + slant * np.maximum(at[:, 1] - y, 0.0)))
+                for solid in panel
             ]
         solids += panel
     return solids
