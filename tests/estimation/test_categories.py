@@ -23,6 +23,7 @@ from omad.model.proposals.network import shipped_proposer
 from omad.objects.category_file import get_category
 
 
+@cache
 def view(name: str, index: int = 0) -> omad.Observation:
     category = get_category(name)
     return standard_view(generate(category, index, "test"), category, (7, index), ON).observation()

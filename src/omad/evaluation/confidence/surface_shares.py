@@ -2,7 +2,6 @@
 on views with known truth."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -46,13 +45,16 @@ def follows_better(estimator: Estimator, bank: ShapeBank, models: Sequence[Objec
     """Whether surfaces of the ``bank`` are surely nearer to the true ones when they follow what is seen, on such views
     of the ``models``."""
     prior, category = estimator.net.prior, estimator.category
-    banks = [replace(bank, follows=each) for each in (False, True)]
-    both, gains = [Surfaces(prior, category, lambda each=each: each) for each in banks], []
+    surfaces, gains = Surfaces(prior, category, lambda: bank), []
     for view in progress(_views(models, category, views, seed), views, every=30.0):
         estimate = estimator(view.observation())
         if estimate.is_finite:
             truth = merge_meshes(models[view.seed[1] % len(models)].posed(view.states, view.T_camera_base))
-            posed = [merge_meshes(replace(estimate, surfaces=each).surface.posed()) for each in both]
+            seen = estimate.in_mirror() if estimate.of_other_hand else estimate
+            both = surfaces.fitted_both(seen, seen.covariance, seen.labelled.points, seen.part_labels)
+            if estimate.of_other_hand:
+                both = [each.mirrored(category.turning) for each in both]
+            posed = [merge_meshes(each.posed()) for each in both]
             still, followed = (sum(each.mean() for each in surface_distances(mesh, truth)) for mesh in posed)
             gains.append((still - followed) / (still + followed))
     return len(gains) >= FEWEST and bool(_surely(np.array(gains)) > 0)

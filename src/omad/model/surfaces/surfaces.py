@@ -172,11 +172,24 @@ class Surfaces:
         states; its base and what moves may be of two objects. Where the bank says so, it follows what is seen of the
         parts beyond what these objects are. Without any point of the object the nearest one
         is carried over."""
+        return self.fitted_both(found, covariance, points, labels, (self.bank.follows,))[0]
+
+    @undisturbed()
+    def fitted_both(
+        self,
+        found: PosedObject,
+        covariance: np.ndarray,
+        points: np.ndarray,
+        labels: np.ndarray,
+        follows: Sequence[bool] = (False, True),
+    ) -> list[FittedSurface]:
+        """``fitted`` as it is where the surface stays what the objects are, and where it follows what is seen: one
+        fit, whatever the bank says."""
         unit, config = self.category.metres_per_unit, self.config
         cloud = Cloud.of(points / unit, labels, config.fit.most)
         if cloud is None or not np.isfinite(covariance).all():
             parts, still = self.of_keypoints(found.canonical_keypoints), np.zeros(len(covariance))
-            return FittedSurface(parts, found.placed, found.placed, still)
+            return [FittedSurface(parts, found.placed, found.placed, still)] * len(follows)
         scale = np.concatenate([np.ones(3), np.full(3, unit), self.category.state_units, np.ones(len(found.beta))])
         limits = np.array([joint.limits for joint in self.category.joints])
         start = self._state(found)
@@ -185,11 +198,14 @@ class Surfaces:
         placed = fit(placed, self.bank.template(self.bank.nearest(placed.keypoints, 1)[0][0]))
         best = self._chosen(fit, placed)
         placed = fit(placed, best)
-        parts = followed(fit, placed, best) if self.bank.follows else best.at(placed.keypoints)
         where = self._metric(placed)
         moved = np.linalg.inv(found.placed.T_camera_part) @ where.T_camera_part
-        parts = tuple(part.carried(T) for part, T in zip(_in_metres(parts, unit), moved, strict=True))
-        return FittedSurface(parts, found.placed, where, placed.moved)
+        surfaces = []
+        for each in follows:
+            parts = followed(fit, placed, best) if each else best.at(placed.keypoints)
+            parts = tuple(part.carried(T) for part, T in zip(_in_metres(parts, unit), moved, strict=True))
+            surfaces.append(FittedSurface(parts, found.placed, where, placed.moved))
+        return surfaces
 
     @undisturbed()
     def towards(self, found: PosedObject, fitted: FittedSurface, share: np.ndarray) -> PosedObject:
