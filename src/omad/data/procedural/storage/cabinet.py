@@ -17,7 +17,7 @@ from ..vocabulary.stands import stand
 def generate(rng: np.random.Generator, category: Category, unusual: np.random.Generator | None) -> JointedParts:
     """One cabinet, shut; as many doors as the category has joints, the first hinged at the left, the second at the
     right. What is above y = base is the body, its front plane at z = 0, the room at +z. Unusual ones with two doors
-    have open or closed parts beside or between them, and may be wide and low."""
+    have open or closed parts beside them or between, and may be wide and low."""
     pair = len(category.joints) == 2
     width = rng.uniform(0.55, 1.2) if pair else rng.choice([rng.uniform(0.36, 0.75), rng.uniform(0.6, 1.3)])
     tall = rng.uniform(0.5, 1.3) * width if rng.random() < 0.5 else rng.uniform(1.2, 3.2 if pair else 4.0) * width
@@ -35,6 +35,7 @@ def generate(rng: np.random.Generator, category: Category, unusual: np.random.Ge
     beside, stack = _open_parts(rng, width, tall, pair)
     if unusual and pair:
         beside, stack = _open_parts(unusual, width, tall, False)
+        beside *= 0.6
     left, right, bottom, top = wall + beside[0], wall + beside[1], wall + stack[0], wall + stack[1]
     case = Case(width, base + tall, depth, left, right, bottom, top, 0.4 * wall, base)
     whole = case.front
@@ -49,8 +50,8 @@ def generate(rng: np.random.Generator, category: Category, unusual: np.random.Ge
         low, high = (-width / 2 - side, base + tall, -depth), (width / 2 + side, base + tall + wall, over)
         body.append(slab(low, high, 1, rng.uniform(0.0, 0.01)))
     between = 0.0
-    if unusual and pair and unusual.random() < 0.4:
-        between = door.width * unusual.uniform(0.15, 0.5)
+    if unusual and pair and not beside.any():
+        between = door.width * unusual.uniform(0.1, 0.4)
         body += _bay(unusual, case, door.centre[0], between, wall)
     return _hung(rng, body, door, thickness, framed, pair, between)
 
