@@ -71,7 +71,7 @@ def test_what_means_no_measurement_is_no_point_and_millimetres_and_other_axes_ar
     np.testing.assert_array_equal(program(np.r_[nothing, cloud]), cloud)
     few = np.r_[cloud[:49], [nothing[6]]]
     wrong = (cloud * 1000, "looks like millimetres"), (cloud * 1e5, "looks like"), (few, "too few"), (-cloud, "behind")
-    for points, said in (*wrong, (cloud[:0], "too few")):
+    for points, said in (*wrong, (cloud[:0], "too few"), (cloud * 150, "looks like centimetres; multiply by 0.01")):
         with pytest.raises(ValueError, match=said):
             program(points)
 

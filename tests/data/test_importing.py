@@ -2,6 +2,7 @@
 
 import json
 import os
+import shlex
 import shutil
 import xml.etree.ElementTree as ElementTree
 from dataclasses import replace
@@ -306,8 +307,12 @@ def test_what_is_odd_about_a_model_is_noted(capsys):
     [doubt] = answer(capsys, "import", "partnet", *WITH, "--output", "normalised")["warnings"]
     assert "--scale 0.0003 (metres per unit of its file) makes it 0.201 m" in doubt["reason"]
     assert load_folder("partnet", MICROWAVE, scale=0.0003).models[0].diagonal == pytest.approx(0.201, abs=1e-3)
-    assert run(["render", *WITH, "--source", "large", "--output", "views", "--views", "1"]) == 0
-    assert f"large: warning: {made['used'][0]} is " in capsys.readouterr().err
+    line = refused(capsys, "render", *WITH, "--source", "large", "--output", "views", "--views", "1")
+    assert " m across, where metres_per_unit of my_microwave is " in line
+    cure = shlex.split(line[line.index("omad import ") : line.index(" (metres per unit")])[1:]  # is a whole command
+    assert run([WITH[1] if word == "SPEC.toml" else word for word in cure]) == 0
+    assert load_folder("imported", MICROWAVE).models[0].diagonal < 1
+    capsys.readouterr()
     file = next(model.glob("*.urdf"))
     lost = '<visual><geometry><mesh filename="lost.obj"/></geometry></visual>'
     file.write_text(file.read_text().replace("</link>", f"{lost}</link>", 1))

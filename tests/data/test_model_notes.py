@@ -78,6 +78,21 @@ def test_limits_the_wrong_way_round_are_exchanged_and_noted(tmp_path):
     assert np.allclose(found.models[0].limits[0], [0, 0.3])
 
 
+@pytest.mark.parametrize("end", ["inf", "1e300", "3.4e38"])
+def test_limits_that_mean_none_are_as_if_left_out(end, tmp_path):
+    file = write_urdf(cupboard(), tmp_path / "made")
+    written, given = file.read_text(), 'lower="0.0" upper="0.3"'
+    assert given in written
+    file.write_text(written.replace(given, ""))
+    expected = import_model(file, CUPBOARD).limits
+    for none in (f'lower="-{end}" upper="{end}"', f'lower="0.0" upper="{end}"'):
+        file.write_text(written.replace(given, none))
+        assert np.array_equal(import_model(file, CUPBOARD).limits, expected)
+    file.write_text(written.replace(given, 'lower="0.0" upper="nan"'))
+    with pytest.raises(InputError, match="limits of joint 'slide' are no numbers; leave them out"):
+        import_model(file, CUPBOARD)
+
+
 @pytest.fixture
 def elsewhere(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from PIL.PngImagePlugin import PngInfo
 
 from helpers.command_line import LAPTOP, K, answer, laptop_view, refused, save_png
 from omad.cli.main import run
@@ -90,6 +91,35 @@ def test_a_scale_beside_an_image_is_of_its_integers():
     for name in ("image.png", "integers.npy", "channel.npy", "metres.tiff"):
         reader = InputReader.of(InputOptions(), [Path(name)])
         assert reader(Path(name)).points[:, 2] == pytest.approx(1.0)
+
+
+def test_a_scale_in_the_text_of_a_png_is_of_its_integers(capsys):
+    stored, told = Image.fromarray(np.full((9, 9), 7000, np.uint16)), PngInfo()
+    told.add_text("depth_scale", "1e-4")
+    stored.save("depth.png", pnginfo=told)
+    seen = InputReader.of(InputOptions(intrinsics="9,9,4,4"), [Path("depth.png")])(Path("depth.png"))
+    assert np.allclose(seen.points[:, 2], 0.7)
+    Path("depth.json").write_text('{"depth_scale": 0.001}')
+    assert (Beside.of(Path("depth.png")).depth_scale, Beside.of(Path("depth.tif")).depth_scale) == (0.001, 0.001)
+    Path("depth.json").unlink()
+    told.add_text("depth_scale", "millimetres")
+    stored.save("depth.png", pnginfo=told)
+    with pytest.raises(InputError, match=r"depth\.png: depth_scale is no number"):
+        Beside.of(Path("depth.png"))
+
+
+def test_of_a_camera_of_another_size_the_scaled_one_is_named():
+    np.save("depth.npy", np.ones((8, 12)))
+    camera = {"fx": 50, "fy": 52, "cx": 5.5, "cy": 3.5}
+    cures = {
+        (24, 16): r"only scaled that is --intrinsics 25,26,2\.5,1\.5",
+        (8, 12): "back by 90 degrees",
+        (12, 7): "this size$",
+    }
+    for (width, height), cure in cures.items():
+        Path("depth.json").write_text(json.dumps({**camera, "width": width, "height": height}))
+        with pytest.raises(InputError, match=f"is 12x8, .* is for {width}x{height}; give --intrinsics of .*{cure}"):
+            InputReader.of(InputOptions(), [Path("depth.npy")])(Path("depth.npy"))
 
 
 def test_a_scale_in_the_file_of_the_intrinsics_is_that_of_the_images():

@@ -14,7 +14,7 @@ from omad.common.errors import InputError
 from omad.common.files import write_atomic
 from omad.geometry.lens import Distortion
 from omad.sensing.camera_files import read_camera, read_intrinsics
-from omad.sensing.depth_files import in_metres, is_cloud, read_cloud, read_color, read_depth, read_mask
+from omad.sensing.depth_files import in_metres, is_cloud, parse_depth, read_cloud, read_color, read_depth, read_mask
 from omad.sensing.observation import Observation
 
 DEPTH_MM = np.arange(12, dtype=np.uint16).reshape(3, 4) * 100
@@ -61,6 +61,28 @@ def test_the_largest_integer_is_no_measurement(tmp_path: Path, dtype: str, store
     assert np.allclose(read_depth(tmp_path / "depth.npy"), expected)
     np.save(tmp_path / "depth.npy", image.astype(np.float32))
     assert read_depth(tmp_path / "depth.npy")[1, 2] == np.float32(stored)
+
+
+@pytest.mark.parametrize("order", "<>")
+def test_portable_maps_of_floats_and_integers(tmp_path: Path, order: str) -> None:
+    """Floats stand the lowest row first; integers up to 2047, as a Kinect's, are not stretched to all of 16 bits."""
+    head = b"Pf # made by hand\n4 3\n%d\n" % (-1 if order == "<" else 1)
+    (tmp_path / "depth.pfm").write_bytes(head + (DEPTH_MM / 1000)[::-1].astype(f"{order}f4").tobytes())
+    (tmp_path / "depth.pgm").write_bytes(b"P5\n4 3\n2047\n" + DEPTH_MM.astype(">u2").tobytes())
+    for file in (tmp_path / "depth.pfm", tmp_path / "depth.pgm"):
+        assert np.allclose(read_depth(file), DEPTH_MM / 1000)
+        assert np.allclose(parse_depth(file.read_bytes(), "sent"), DEPTH_MM / 1000)
+    for content in (
+        b"PF\n4 3\n-1\n",
+        head,
+        b"P2\n4 3\n255\n",
+        b"Pf\n-1 1\n-1\n" + bytes(4),
+        b"P5\n4 3\n255\n" + bytes(12),
+    ):
+        (tmp_path / "broken.pfm").write_bytes(content)
+        with pytest.raises(InputError) as error:
+            read_depth(tmp_path / "broken.pfm")
+        assert_one_line(error, "broken.pfm")
 
 
 def test_depth_errors_say_what_to_do(tmp_path: Path) -> None:
@@ -214,6 +236,10 @@ def test_cloud_errors_say_what_to_do(tmp_path: Path) -> None:
     with pytest.raises(InputError) as error:
         read_cloud(tmp_path / "two.npy")
     assert_one_line(error, "(N, 3)", "(60, 2)")
+    np.savetxt(tmp_path / "image.txt", np.ones((60, 200)))
+    with pytest.raises(InputError) as error:
+        read_cloud(tmp_path / "image.txt")
+    assert_one_line(error, "image.txt", "depth image")
 
 
 # intrinsics and masks
@@ -237,6 +263,9 @@ def test_intrinsics_in_every_form(tmp_path: Path) -> None:
         "calibration.yaml": f"camera_matrix:\n  rows: 3\n  cols: 3\n  data: {flat}\n",
         "matrix.txt": "\n".join(" ".join(map(str, row)) for row in K),
         "four.txt": "600 601 319.5 239.5\n",
+        "rows.yaml": "".join(f"- [{', '.join(map(str, row))}]\n" for row in K),
+        "named.json": json.dumps({"intrinsics": K.tolist()}),
+        "two.json": json.dumps({"color": {"fx": 1, "fy": 1, "cx": 0, "cy": 0}, "depth": {"K": flat}}),
     }
     for name, content in forms.items():
         (tmp_path / name).write_text(content)
@@ -276,6 +305,7 @@ def test_a_calibration_of_opencv(tmp_path: Path) -> None:
         ("skew.txt", "600 12 320 0 600 240 0 0 1", "skewed by 12 pixels"),
         ("turned.txt", "600 0 320 -9 600 240 0 0 1", "rectify"),
         ("h.yaml", "", "ppx"),
+        ("rig.yaml", "cam0: {intrinsics: [600, 600, 320, 240]}\ncam1: {}", "several cameras"),
         ("i.yaml", "a: [", "YAML"),
     ],
 )

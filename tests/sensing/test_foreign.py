@@ -11,6 +11,7 @@ from PIL import Image
 from helpers.command_line import laptop_view
 from omad.applications.bulk.stream import Frame
 from omad.common.errors import InputError
+from omad.geometry.lens import Distortion
 from omad.sensing.camera_files import read_camera
 from omad.sensing.observation import Observation
 
@@ -215,3 +216,13 @@ def test_broken_messages_are_refused_in_a_line():
         Observation.from_points(SimpleNamespace(**{**vars(cloud(np.ones((100, 3)))), "fields": []}))
     with pytest.raises(InputError, match="intrinsics: none given"):
         Observation.from_depth(np.ones((480, 640)))
+
+
+def test_a_calibration_of_kalibr(tmp_path):
+    lens = "distortion_coeffs: [0.1, -0.2, 0.001, 0.002]\n  distortion_model"
+    for model, known in (("radtan", "plumb_bob"), ("equidistant", "equidistant")):
+        told = f"intrinsics: [600, 601, 319.5, 239.5]\n  {lens}: {model}\n  resolution: [640, 480]\n"
+        (tmp_path / "camchain.yaml").write_text(f"cam0:\n  camera_model: pinhole\n  {told}")
+        camera = read_camera(tmp_path / "camchain.yaml")
+        assert np.allclose(camera.K, [[600, 0, 319.5], [0, 601, 239.5], [0, 0, 1]])
+        assert (camera.size, camera.distortion) == ((640, 480), Distortion(known, (0.1, -0.2, 0.001, 0.002)))

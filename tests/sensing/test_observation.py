@@ -162,6 +162,7 @@ def test_millimetres_are_named() -> None:
     refused("millimetres", "0.001", depth_m=millimetres)
     refused("millimetres", "0.001", depth_m=millimetres.astype(np.uint16))
     refused("integers", "0.001", depth_m=np.ones((48, 64), dtype=np.int32))
+    refused("centimetres", "0.01", depth_m=np.full((48, 64), 150.0))
     with pytest.raises(InputError, match="millimetres"):
         Observation.from_points(np.random.default_rng(0).normal(700, 100, (100, 3)))
 

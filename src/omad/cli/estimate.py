@@ -53,8 +53,8 @@ DOUBTFUL = 1
 
 @dataclass(frozen=True, kw_only=True)
 class EstimateCommand(CategoryCommand):
-    """Estimate objects from depth images (PNG, TIFF, NPY, NPZ) or clouds (PLY, PCD, XYZ, NPY, NPZ): JSON, URDF, a
-    picture and a page for the browser (estimate.html, with sliders) each.
+    """Estimate objects from depth images (PNG, TIFF, PFM, PGM, NPY, NPZ) or clouds (PLY, PCD, XYZ, NPY, NPZ): JSON,
+    URDF, a picture and a page for the browser (estimate.html, with sliders) each.
 
     Of a whole frame without a mask the thing before table, floor and walls is taken that is most like the category.
     Where a result is doubtful a list of what to check is printed, and kept under "checks" of the JSON. With --category
@@ -230,7 +230,7 @@ class Detect(CategoriesCommand):
     """
 
     input: tyro.conf.Positional[Path]
-    """Depth image (PNG, TIFF, NPY, NPZ) or cloud (PLY, PCD, XYZ, NPY, NPZ) of a whole scene."""
+    """Depth image (PNG, TIFF, PFM, PGM, NPY, NPZ) or cloud (PLY, PCD, XYZ, NPY, NPZ) of a whole scene."""
     intrinsics: str | None = None
     """Of the depth camera: fx,fy,cx,cy or a file, as for ``omad estimate``."""
     box: str | None = None

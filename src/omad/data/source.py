@@ -98,8 +98,6 @@ def _urdfs(source: str, category: Category, objects: int, split: Split, seed: in
         raise InputError(f"{source}: none of its {len(found.refused)} models fits {category.name} (reasons above)")
     for note in found.notes:
         _say_once(str(Path(source).absolute()), f"note on {note.name}: {note.reason}")
-    for doubt in found.doubts:
-        _say_once(str(Path(source).absolute()), f"{source}: warning: {doubt.name} {doubt.reason}")
     refused, notes = ([asdict(each) for each in listed] for listed in (found.refused, found.notes))
     return ModelSource(found.models, refused, notes)
 

@@ -4,7 +4,8 @@ Of ``x.png`` or ``x.depth.png`` these are, the first that tells counts: ``x.json
 ``camera.yaml`` in its folder, and in its folder or the one above ``dataset.json``, as ``omad render`` writes it, or
 ``scene_camera.json``, in which BOP's data sets have a camera for each image by its number. The mask is
 ``x.mask.png``, the colour image ``x.color.png`` or ``x.color.jpg``. A file with neither intrinsics nor ``depth_scale``
-is not for it, and passed over, as is in a folder of inputs a picture ``x.png`` beside an ``x.ply``.
+is not for it, and passed over, as is in a folder of inputs a picture ``x.png`` beside an ``x.ply``. Where none of them
+tells ``depth_scale``, a PNG's own text of that name does.
 """
 
 from collections.abc import Iterator
@@ -20,7 +21,7 @@ from omad.common.errors import InputError
 from omad.common.incoming import IMAGE_FORMATS
 from omad.common.limits import limits
 
-from .camera_files import CameraFile, camera_of, of_image, read_table, scale_of, tells_of_camera
+from .camera_files import SCALE, CameraFile, camera_of, of_image, read_table, scale_of, tells_of_camera
 
 OF_DEPTH = ".depth"
 COMPANIONS = (".mask", ".labels", ".instances", ".color")
@@ -54,6 +55,8 @@ class Beside:
                 scale_file = file
             if camera is not None and scale is not None:
                 break
+        if scale is None and (scale := scale_of(_own_text(depth), depth)) is not None:
+            scale_file = depth
         mask, *colors = _images(depth.parent, stem)
         color = next((file for file in colors if file.is_file()), None)
         return cls(camera, scale, mask if mask.is_file() else None, color, camera_file, scale_file)
@@ -69,6 +72,18 @@ def is_picture(file: Path) -> bool:
     with suppress(OSError, ValueError, Image.DecompressionBombError), Image.open(file, formats=IMAGE_FORMATS) as image:
         return image.mode[0] not in "IF"
     return False
+
+
+def _own_text(depth: Path) -> dict[str, Any]:
+    """``depth_scale`` where a PNG's text tells it, as a number where it is one."""
+    told: Any = None
+    if depth.suffix.lower() == ".png":
+        unreadable = suppress(OSError, ValueError, SyntaxError, Image.DecompressionBombError)
+        with unreadable, Image.open(depth, formats=["PNG"]) as image:
+            told = image.info.get(SCALE)
+    with suppress(TypeError, ValueError):
+        told = float(told)
+    return {} if told is None else {SCALE: told}
 
 
 def may_lie_beside(depth: Path) -> Iterator[Path]:

@@ -28,8 +28,10 @@ FARTHEST = 1e3
 BOP, COARSEST = "cam_K", 0.05
 """What BOP's data sets call intrinsics, and from how many metres on no camera's integer is a step: BOP writes
 millimetres."""
-MATRICES = ("K", "k", "camera_matrix", BOP)
-"""What matrices row by row are called."""
+MATRICES = ("K", "k", "camera_matrix", BOP, "intrinsics", "intrinsic", "camera_intrinsics", "camera_intrinsic")
+"""What matrices row by row are called, and Kalibr's four numbers."""
+COEFFICIENTS = ("coeffs", "D", "d", "distortion_coefficients", "distortion_coeffs")
+"""What lists of a lens's are called."""
 LENS, FISHEYE = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"), ("k1", "k2", "k3", "k4")
 """Coefficients by name, in OpenCV's order."""
 SCALE = "depth_scale"
@@ -66,8 +68,9 @@ def read_camera(source: str | Path) -> CameraFile:
     column-major, alone or in PinholeCameraParameters), JSON or YAML with ``fx, fy, cx, cy`` or librealsense's ``fx, fy,
     ppx, ppy`` (with ``model`` and ``coeffs``, or ``k1`` and so on), ROS CameraInfo YAML (``K`` or ``k``, with
     ``distortion_model`` and ``D`` or ``d``), OpenCV's FileStorage YAML (``camera_matrix``,
-    ``distortion_coefficients``), BOP's JSON (``cam_K``, of one image or the same of all), NPY, or text holding 3x3 or 4
-    numbers; beside these names ``depth_scale``. Raises InputError for others."""
+    ``distortion_coefficients``), Kalibr's YAML of one camera, BOP's JSON (``cam_K``, of one image or the same of all),
+    NPY, or text, JSON or YAML holding 3x3 or 4 numbers, maybe as ``intrinsics``; beside these names ``depth_scale``.
+    Raises InputError for others."""
     text = str(source)
     if (numbers := _numbers(text)) is not None:
         return CameraFile(as_K(numbers, f"intrinsics {shown(repr(text))}"))
@@ -85,6 +88,9 @@ def parse_camera(text: str, name: str) -> CameraFile:
 
 
 def _told(data: Any, name: str | Path) -> CameraFile:
+    if isinstance(data, list):
+        with suppress(*WRONG):
+            data = np.asarray(data, dtype=np.float64)
     return CameraFile(as_K(data, str(name))) if isinstance(data, np.ndarray) else camera_of(data, name)
 
 
@@ -92,6 +98,8 @@ def camera_of(data: Any, name: str | Path) -> CameraFile:
     """What a table tells of a camera under any of the names that ``read_camera`` knows; ``name``: of it in messages.
     Raises InputError."""
     data = _of_all_images(data, name)
+    if isinstance(data, dict) and "cam1" in data:
+        raise InputError(f"{name}: holds several cameras; give the depth camera's lines, those below its name, alone")
     scale, data = scale_of(data, name), _inner(data)
     K = as_K(_find_intrinsics(data, name), str(name))
     try:
@@ -141,11 +149,11 @@ def _of_all_images(data: Any, name: str | Path) -> Any:
 
 def _inner(data: Any) -> Any:
     """Where a table keeps them under a name of their own: ``intrinsic`` (Open3D's PinholeCameraParameters), ``camera``
-    (views of ``omad render``), ``intrinsics``."""
-    found = (
-        [data[key] for key in ("intrinsic", "camera", "intrinsics") if key in data] if isinstance(data, dict) else []
-    )
-    return next((each for each in found if isinstance(each, dict)), data)
+    (views of ``omad render``), ``intrinsics``, ``depth`` (beside those of the colour camera), ``cam0`` (Kalibr)."""
+    if not isinstance(data, dict):
+        return data
+    names = ("intrinsic", "camera", "intrinsics", "depth", "cam0")
+    return next((data[name] for name in names if isinstance(data.get(name), dict)), data)
 
 
 def read_table(path: Path) -> Any:
@@ -255,7 +263,7 @@ def _find_distortion(data: dict[str, Any]) -> Distortion | None:
     """The lens that a file tells of; None for none, or for coefficients that are all zero."""
     model = _model_name(next((data[key] for key in ("model", "distortion_model") if data.get(key) is not None), ""))
     model = "equidistant" if data.get("fisheye_model") else model  # OpenCV's
-    listed = next((data[key] for key in ("coeffs", "D", "d", "distortion_coefficients") if key in data), None)
+    listed = next((data[key] for key in COEFFICIENTS if key in data), None)
     if listed is None and "k1" in data:
         if model is None and "k4" in data and "p1" not in data:
             raise ValueError("it may be a fisheye lens or none")
@@ -273,7 +281,7 @@ def _model_name(told: Any) -> str | None:
     if isinstance(told, int):
         return dict(enumerate(REALSENSE))[told]  # a tuple has something at -1, too
     name = str(told).strip().lower().removeprefix("rs2_").removeprefix("distortion").lstrip("._")
-    return {"fisheye": "equidistant"}.get(name, name.replace(" ", "_").replace("-", "_")) or None
+    return {"fisheye": "equidistant", "radtan": "plumb_bob"}.get(name, name.replace(" ", "_").replace("-", "_")) or None
 
 
 def _find_rectified(data: dict[str, Any]) -> np.ndarray | None:
@@ -284,9 +292,10 @@ def _find_rectified(data: dict[str, Any]) -> np.ndarray | None:
 
 
 def _find_size(data: dict[str, Any]) -> tuple[int, int] | None:
-    for width, height in (("width", "height"), ("image_width", "image_height")):
-        if data.get(width) and data.get(height):  # a simulator may leave zeros
-            sides = int(data[width]), int(data[height])
+    pairs = [[data.get(name) for name in names] for names in (("width", "height"), ("image_width", "image_height"))]
+    for width, height in [*pairs, data.get("resolution") or (0, 0)]:
+        if width and height:  # a simulator may leave zeros
+            sides = int(width), int(height)
             if not all(1 <= side <= limits().image_side for side in sides):
                 raise ValueError("no size of an image")
             return sides

@@ -1,6 +1,7 @@
 """Reading depth images, clouds and masks as people have them."""
 
 import io
+import re
 from codecs import BOM_UTF8
 from collections.abc import Callable
 from pathlib import Path
@@ -26,21 +27,31 @@ from omad.common.lzf import decompressed
 from .masks import are_annotations, as_mask, check_one_blurred_thing, of_palette
 
 ARRAY_FORMATS = (".npy", ".npz")
-DEPTH_FORMATS = (".png", ".tif", ".tiff", *ARRAY_FORMATS)
+MAP_FORMATS = (".pfm", ".pgm")
+DEPTH_FORMATS = (".png", ".tif", ".tiff", *MAP_FORMATS, *ARRAY_FORMATS)
 COLOR_FORMATS = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", *ARRAY_FORMATS)
 MASK_FORMATS = (*COLOR_FORMATS, ".json")
 LOSSY = (".jpg", ".jpeg")
 CLOUD_FORMATS = (".ply", ".pcd", ".xyz", ".txt", *ARRAY_FORMATS)
 ARRAY_MAGIC, JPEG_MAGIC = (b"\x93NUMPY", b"PK"), b"\xff\xd8"
 """What arrays and JPEGs begin with."""
+_GAP = rb"(?:\s|#[^\n]*\n)+"
+MAP_HEAD = re.compile(rb"(Pf|P5)" + 2 * (_GAP + rb"(\d+)") + _GAP + rb"([-+.\deE]+)\s")
+"""Of a portable map: floats or integers, width, height, and then of floats a number whose sign is their byte order, of
+integers the largest one that there may be."""
 WIDE = 10
 """No depth image is narrower, and no cloud has so many columns."""
+WIDE_TEXT = 100
+"""Nor has one so many in a text, where each row of points may have more in it than is asked for."""
 MILLIMETRES = 1e-3
 """Metres per stored integer of a depth image that does not say otherwise."""
 SCALES = (1e-9, 1e9)
 """Which others there may be."""
 
-
+FAR, NEAR = 100.0, 1e-6
+"""Metres. A scene whose median distance is beyond these is of another unit ..."""
+CENTIMETRES = 250.0
+"""... and of this one below that many, for no camera sees so few millimetres."""
 NOTHING_BACK = 2**16 - 1
 """What drivers write into images of 16 bits where nothing came back; readers may hold these in wider integers."""
 
@@ -49,11 +60,16 @@ def read_depth(
     path: str | Path, depth_scale: float | None = None, metres_per_integer: float = MILLIMETRES
 ) -> np.ndarray:
     """Depth image (H, W) float32 in metres; 0 and what is not finite mean no measurement, and so does the largest
-    integer of its kind. PNG, TIFF, or an array (NPY, NPZ with one array or one named ``depth``): stored numbers times
-    ``depth_scale``; without, integers times ``metres_per_integer``, and floats as they are. Raises InputError for a
-    missing, unreadable or 8-bit file and for a wrong shape."""
+    integer of its kind. PNG, TIFF, PFM, PGM, or an array (NPY, NPZ with one array or one named ``depth``): stored
+    numbers times ``depth_scale``; without, integers times ``metres_per_integer``, and floats as they are. Raises
+    InputError for a missing, unreadable or 8-bit file and for a wrong shape."""
     path = _existing(path, DEPTH_FORMATS, "depth image")
-    stored = read_array(path, "depth") if path.suffix.lower() in ARRAY_FORMATS else read_image(path, path)
+    suffix = path.suffix.lower()
+    if suffix in MAP_FORMATS:
+        with readable(path, suffix[1:].upper()):
+            stored = _portable_map(read_bytes(path))
+    else:
+        stored = read_array(path, "depth") if suffix in ARRAY_FORMATS else read_image(path, path)
     return _checked_depth(stored, path, depth_scale, metres_per_integer)
 
 
@@ -77,9 +93,25 @@ def _checked_depth(
 def parse_stored(stored: bytes, key: str, name: str, mode: str | None = None) -> np.ndarray:
     """The numbers of a file's bytes: of an image (in ``mode``, where given), an NPY, or an NPZ the array called ``key``
     or the only one. Raises InputError."""
+    if MAP_HEAD.match(stored):
+        with readable(name, "a portable map"):
+            return _portable_map(stored)
     if not stored.startswith(ARRAY_MAGIC):
         return read_image(stored, name, mode)
     return called(parse_arrays(stored, name), key, name)
+
+
+def _portable_map(stored: bytes) -> np.ndarray:
+    """(H, W) of a PFM of one channel, which has its lowest row first, or a binary PGM. Pillow stretches the latter's
+    integers where their largest is not that of their kind."""
+    head = MAP_HEAD.match(stored)
+    if head is None:
+        raise ValueError("it begins with neither Pf nor P5, as maps of one channel in binary do")
+    width, height, last = int(head[2]), int(head[3]), float(head[4])
+    check_limit("image_pixels", width * height, "the image")
+    kind = ("<f4" if last < 0 else ">f4") if head[1] == b"Pf" else ">u2" if last > np.iinfo(np.uint8).max else "u1"
+    rows = np.frombuffer(stored, kind, width * height, head.end()).reshape(height, width)
+    return rows[::-1] if head[1] == b"Pf" else rows
 
 
 def in_metres(
@@ -109,6 +141,18 @@ def in_metres(
         if largest in (np.iinfo(stored.dtype).max, NOTHING_BACK):
             metres[stored == largest] = 0
     return metres
+
+
+def check_metres(distances: np.ndarray, name: str) -> None:
+    """Raises InputError where distances (N,) are none that a camera sees, in metres; ``name``: of what they are of."""
+    median = np.median(distances.astype(np.float64, copy=False))
+    if median > FAR:
+        unit, scale = ("centimetres", 0.01) if median < CENTIMETRES else ("millimetres", 0.001)
+        cure = f"metres are expected; multiply by {scale} (on the command line: --depth-scale {scale})"
+        raise InputError(f"{name}: median distance {median:.0f} looks like {unit}, {cure}")
+    if median < NEAR:
+        cure = "metres are expected; check the depth scale (on the command line: --depth-scale)"
+        raise InputError(f"{name}: median distance {median:.2g} m is nothing that a camera sees, {cure}")
 
 
 def one_channel(image: np.ndarray) -> np.ndarray:
@@ -230,7 +274,8 @@ def read_cloud(path: str | Path) -> np.ndarray:
 def _existing(path: str | Path, formats: tuple[str, ...], kind: str) -> Path:
     path = existing(path, f"the path of a {kind}")
     if path.suffix.lower() not in formats:
-        raise InputError(f"{path}: unknown {kind} format {path.suffix!r}; known ones are {', '.join(formats)}")
+        known = f"save it as one of {', '.join(formats)}"
+        raise InputError(f"{path}: unknown {kind} format {path.suffix!r}; {known}")
     return path
 
 
@@ -264,7 +309,10 @@ def _read_text(path: Path) -> np.ndarray:
     lines = [line.replace(",", " ") for line in read_bytes(path, "cloud_text_bytes").decode("utf-8-sig").splitlines()]
     if not any(line.split("#")[0].strip() for line in lines):  # loadtxt would warn on stderr and go on
         raise InputError(f"{path}: holds no points; give lines of x y z")
-    return _table(path, lines)
+    table = _table(path, lines)
+    if table.shape[1] >= WIDE_TEXT:
+        raise InputError(f"{path}: {table.shape[1]} numbers a line are a depth image; save it as .npy, metres")
+    return table
 
 
 def _table(path: Path, lines: list[str]) -> np.ndarray:

@@ -10,8 +10,8 @@ class InputOptions:
     """How depth images and clouds are read."""
 
     intrinsics: str | None = None
-    """Of the depth camera: fx,fy,cx,cy or a file (Open3D or RealSense JSON, ROS YAML, 3x3 text). A lens that the file
-    tells of is undone."""
+    """Of the depth camera: fx,fy,cx,cy or a file (Open3D or RealSense JSON, ROS or Kalibr YAML, 3x3 text). A lens that
+    the file tells of is undone."""
     mask: Path | None = None
     """Image or array, non-zero where the object is (of probabilities one half), or a COCO segmentation (JSON); or a
     folder with a mask for each input, of the same name: where inputs lie in several folders, in sub-folders called as

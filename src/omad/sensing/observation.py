@@ -15,16 +15,12 @@ from omad.geometry.lens import Distortion
 from omad.geometry.transforms import MIRROR_X
 
 from .camera_files import as_K
-from .depth_files import one_channel
+from .depth_files import FAR, NEAR, check_metres, one_channel
 from .foreign.cameras import camera_from
 from .foreign.images import depth_from, eight_bits, image_from, points_from
 from .masks import as_mask, check_size, odd_mask, without_beyond
 
 MIN_POINTS = 50
-FAR = 100.0
-"""Metres. A scene whose median distance is beyond this was stored in millimetres."""
-NEAR = 1e-6
-"""Metres. Nor is any scene so near."""
 FARTHEST = 1e4
 """Metres. Nothing is measured farther away: such numbers mean no measurement."""
 MOST_POINTS = 1_500_000
@@ -232,7 +228,7 @@ class Observation:
         cloud = cloud[np.isfinite(cloud).all(1) & cloud.any(1)]
         if len(cloud) < MIN_POINTS:
             raise NothingSeen(f"points: {len(cloud)} valid points, at least {MIN_POINTS} are needed")
-        _check_metres(np.abs(cloud).max(1), "points")
+        check_metres(np.abs(cloud).max(1), "points")
         cloud = cloud[np.abs(cloud).max(1) < FARTHEST]
         cloud = cloud[:: -(-len(cloud) // MOST_POINTS) or 1]
         if len(cloud) < MIN_POINTS:
@@ -291,20 +287,11 @@ def _check_depth(depth_m: Any) -> np.ndarray:
         why = "some are negative, and z points forward" if (stored < 0).any() else "all are zero or NaN"
         raise NothingSeen(f"depth: no pixel holds a measurement ({why}); check the camera and the file")
     if farthest > FAR or farthest < NEAR:
-        _check_metres(stored[depth > 0], "depth")
+        check_metres(stored[depth > 0], "depth")
         depth[depth > FARTHEST] = 0
     if stored.dtype.kind in "iu":
         raise InputError("depth: integers cannot be metres; multiply by the depth scale first (0.001 for millimetres)")
     return depth
-
-
-def _check_metres(distances: np.ndarray, name: str) -> None:
-    if (median := np.median(distances.astype(np.float64, copy=False))) > FAR:
-        cure = "metres are expected; multiply by 0.001 (on the command line: --depth-scale 0.001)"
-        raise InputError(f"{name}: median distance {median:.0f} looks like millimetres, {cure}")
-    if median < NEAR:
-        cure = "metres are expected; check the depth scale (on the command line: --depth-scale)"
-        raise InputError(f"{name}: median distance {median:.2g} m is nothing that a camera sees, {cure}")
 
 
 def _check_camera(K: Any, shape: tuple[int, ...]) -> Camera:

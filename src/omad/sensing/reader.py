@@ -171,7 +171,7 @@ class InputReader:
             raise InputError(NEED_INTRINSICS)
         height, width = depth.shape
         if camera.size not in (None, (width, height)):
-            told = "x".join(map(str, camera.size)) + "; give --intrinsics of the depth stream at this size"
+            told = f"{'x'.join(map(str, camera.size))}; {_of_this_size(camera, width, height)}"
             raise InputError(f"the image is {width}x{height}, but the camera of {told_by} is for {told}")
         lens = camera.distortion if self.distortion is None else parse_distortion(self.distortion)
         camera = camera.without_lens() if self.distortion is not None and lens is None else camera
@@ -186,6 +186,20 @@ class InputReader:
             return Observation.from_depth(depth, whole, mask, box, self.segment, self.drop_flying, color=color)
         seen = self.find(Observation.from_depth(depth, whole, color=color), box)
         return seen.without_strays() if self.drop_flying else seen
+
+
+def _of_this_size(camera: CameraFile, width: int, height: int) -> str:
+    """What to do about a camera that is told to be of another size."""
+    cure = "give --intrinsics of the depth stream at this size"
+    across, down = camera.size or (width, height)
+    if (across, down) == (height, width):
+        return f"{cure}, or turn the image back by 90 degrees"
+    if camera.distortion is not None or across * height != down * width:
+        return cure
+    scale = width / across
+    centre = (camera.K[:2, 2] + 0.5) * scale - 0.5  # of the first pixel 0 is the middle
+    scaled = ",".join(f"{number:.6g}" for number in (camera.K[0, 0] * scale, camera.K[1, 1] * scale, *centre))
+    return f"{cure}; of images that were only scaled that is --intrinsics {scaled}"
 
 
 def tells_camera(file: Path) -> bool:

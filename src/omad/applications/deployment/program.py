@@ -28,8 +28,8 @@ from omad.applications.deployment.given import read_points
 from omad.estimation.looks.relief import as_shut, relief
 from omad.model.fronts.image import front_image
 
-FAR = 100.0
-"""A larger median distance is one in millimetres."""
+FAR, CENTIMETRES = 100.0, 250.0
+"""A median distance above the first is in millimetres, or below the second in centimetres."""
 FARTHEST = 1e4
 """Nothing is measured farther away: such numbers mean no measurement."""
 MIRROR = np.array([-1.0, 1.0, 1.0])
@@ -136,7 +136,8 @@ class Program:
         points = points[np.isfinite(points).all(1) & points.any(1)]
         away = np.abs(points).max(1)
         if len(away) and (median := float(np.median(away))) > FAR:
-            raise ValueError(f"points: median distance {median:.0f} looks like millimetres; multiply by 0.001")
+            unit, scale = ("centimetres", 0.01) if median < CENTIMETRES else ("millimetres", 0.001)
+            raise ValueError(f"points: median distance {median:.0f} looks like {unit}; multiply by {scale}")
         points = points[away < FARTHEST]
         if len(points) < self.numbers["least_points"]:
             raise ValueError(f"points: {len(points)} are too few, at least {self.numbers['least_points']} are needed")

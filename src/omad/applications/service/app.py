@@ -18,7 +18,7 @@ RETRY = 1
 
 _FILE, _TEXT = {"type": "string", "format": "binary"}, {"type": "string"}
 _FIELDS = {
-    "depth": {**_FILE, "description": "16-bit PNG or TIFF, NPY or NPZ"},
+    "depth": {**_FILE, "description": "16-bit PNG, TIFF or PGM, PFM, NPY or NPZ"},
     "intrinsics": {**_TEXT, "description": "fx,fy,cx,cy of the depth camera, or what its file holds"},
     "category": {**_TEXT, "default": "auto", "description": "one that is served; auto: the one that explains it best"},
     "mask": {**_FILE, "description": "not zero on the object, or COCO's JSON; without, the object is looked for"},

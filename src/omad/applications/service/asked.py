@@ -36,7 +36,7 @@ class Asked:
     """The fields of a request, by their names."""
 
     depth: bytes
-    """A file's bytes: 16-bit PNG or TIFF, NPY or NPZ."""
+    """A file's bytes: 16-bit PNG, TIFF or PGM, PFM, NPY or NPZ."""
     intrinsics: str
     """fx,fy,cx,cy, or what a camera's file holds."""
     category: str = AUTO

@@ -62,7 +62,7 @@ class RawJoint:
     pivot: np.ndarray
     """(3,) metres: the joint frame's origin."""
     limits: tuple[float, float] | None
-    """Radians or metres; None where the file states none."""
+    """Radians or metres; None where the file states none, or an infinite one."""
     follows: str | None = None
     """The joint that the file lets it move with (``mimic``)."""
     inverted: bool = False
@@ -349,9 +349,10 @@ def _raw_joint(
     if joint.type != "continuous" and any(limit is not None for limit in stated):
         given = [(limit or 0.0) * motion.state_unit(unit) for limit in stated]  # 0 is URDF's default
         (low, high), inverted = sorted(given), given[0] > given[1]
-        if not np.abs([low, high]).max() <= FARTHEST * unit:  # not for NaN either
-            raise InputError(f"{path}: the limits of joint {joint.name!r} are not finite; leave them out")
-        limits = low, high
+        if np.isnan([low, high]).any():
+            raise InputError(f"{path}: the limits of joint {joint.name!r} are no numbers; leave them out")
+        if max(-low, high) <= FARTHEST * unit:  # beyond, programs mean that there is none
+            limits = low, high
     follows = None if joint.mimic is None or slide is not None else joint.mimic.joint
     return RawJoint(joint.name, motion, *ends, axis / length, T[:3, 3] * unit, limits, follows, inverted)
 

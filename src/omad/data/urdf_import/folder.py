@@ -2,8 +2,9 @@
 
 import math
 import os
+import shlex
 from collections import Counter
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -73,8 +74,6 @@ class FolderImport:
     """Those that were not."""
     notes: list[Refusal] = field(default_factory=list)
     """What had to be put right about models that were taken in."""
-    doubts: list[Refusal] = field(default_factory=list)
-    """What may be wrong with models that were taken in."""
 
 
 def load_folder(
@@ -85,23 +84,24 @@ def load_folder(
     mesh_folder: Path | None = None,
 ) -> FolderImport:
     """Import every object of ``folder``: one itself, or ``.urdf`` files, or one sub-folder an object, by name.
-    Arguments as in ``import_model``. Objects that do not fit are listed with the reason. Raises InputError where
-    ``folder`` does not exist or holds no object at all."""
-    models, scales, refused, notes = [], [], [], []
+    Arguments as in ``import_model``. Objects that do not fit, or are of another unit, are listed with the reason.
+    Raises InputError where ``folder`` does not exist or holds no object at all."""
+    models, refused, notes = [], [], []
     up, z_up = dict[str, str](), set[str]()
     for source in object_paths(folder):
         try:
             found = import_with_notes(source, category, scale, missing_meshes, mesh_folder)
+            if odd := size_doubt(found.model, category, scale_of(source, category, scale), folder):
+                raise InputError(f"{source}: {odd}")
         except InputError as error:
             refused.append(Refusal(object_name(source), str(error)))
         else:
             models.append(found.model)
-            scales.append(scale_of(source, category, scale))
             notes += [Refusal(found.model.name, note) for note in found.notes]
             up |= {} if found.up is None else {found.model.name: found.up}
             z_up |= {found.model.name} if of_partnet(source) else set()
     notes += lying(up, z_up, category.either_hand)
-    return FolderImport(models, refused, notes, size_doubts(models, category, scales))
+    return FolderImport(models, refused, notes)
 
 
 def import_model(
@@ -187,15 +187,17 @@ def of_partnet(path: Path) -> bool:
     return partnet.is_partnet(urdf_of(path) if path.is_dir() else path)
 
 
-def size_doubts(models: Sequence[ObjectModel], category: Category, scales: Sequence[float]) -> list[Refusal]:
-    """Of models that are much too large or small, imported at ``scales``, with the one that makes them usual."""
-    doubts = []
-    for model, scale in zip(models, scales, strict=True):
-        if odd := odd_size(model.diagonal, category):
-            factor = 10.0 ** round(math.log10(USUAL * category.metres_per_unit / model.diagonal))
-            cure = f"omad import --scale {factor * scale:g} (metres per unit of its file)"
-            doubts.append(Refusal(model.name, f"{odd}; {cure} makes it {factor * model.diagonal:.3g} m"))
-    return doubts
+def size_doubt(model: ObjectModel, category: Category, scale: float, folder: Path | str) -> str | None:
+    """What to say of a model of ``folder`` that is much too large or small, taken at ``scale``, with the import that
+    makes it usual."""
+    odd = odd_size(model.diagonal, category)
+    if odd is None:
+        return None
+    factor = 10.0 ** round(math.log10(USUAL * category.metres_per_unit / model.diagonal))
+    spec = category.name if category.name in builtin_names() else "SPEC.toml"
+    command = shlex.join(["omad", "import", str(folder), "--category", spec, "--output", "imported"])
+    cure = f"{command} --scale {factor * scale:g} (metres per unit of its file)"
+    return f"{odd}; {cure} makes it {factor * model.diagonal:.3g} m"
 
 
 def lying(up: dict[str, str], z_up: Collection[str], either_hand: bool) -> list[Refusal]:

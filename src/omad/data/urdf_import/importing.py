@@ -39,7 +39,7 @@ from .folder import (
     object_paths,
     of_partnet,
     scale_of,
-    size_doubts,
+    size_doubt,
     urdf_of,
 )
 from .shapes import MeshFiles, MissingMeshes
@@ -110,7 +110,7 @@ def _import_all(
 ) -> ImportSummary:
     for name in set(record.stamps) - {object_name(path) for path in paths}:
         record.drop(name)
-    refused, notes, models, scales = [], [], [], []
+    refused, notes, models, doubts = [], [], [], []
     for path in tqdm(paths, unit="model", file=sys.stderr, disable=not is_watched()):
         name = object_name(path)
         file = output / name / f"{name}.urdf"
@@ -127,13 +127,14 @@ def _import_all(
                 record.add(name, stamp, found, [file, *mesh_files(found.model, file)])
             said = record.notes.get(name, [])
             model = replace(read_urdf(file, category), of_other_hand=MIRRORED in said)
-            scales.append(scale_of(path, category, record.options["scale"]))
             models.append(model)
+            taken_at = scale_of(path, category, record.options["scale"])
+            odd = size_doubt(model, category, taken_at, record.options["source"])
+            doubts += [Refusal(name, odd)] if odd else []
             notes += [Refusal(name, note) for note in said]
         except InputError as error:
             refused.append(Refusal(name, str(error)))
             record.drop(name)
-    doubts = size_doubts(models, category, scales)
     z_up = {object_name(path) for path in paths if object_name(path) in record.up and of_partnet(path)}
     summary = ImportSummary(models, refused, [*notes, *lying(record.up, z_up, category.either_hand)], doubts)
     if models or (output / RECORD).is_file():

@@ -126,7 +126,8 @@ def _shape(link: str, geometry: Any, files: MeshFiles) -> Mesh | None:
         if files.missing == "skip":
             files.skipped.append(geometry.mesh.filename)
             return None
-        cure = "restore it, name the folder that it is in (--mesh-folder), or use what is there (--missing-meshes skip)"
+        ways = "name the folder that it is in (--mesh-folder), or use what is there (--missing-meshes skip)"
+        cure = f"restore it; or to omad import {ways}"
         raise InputError(f"{files.urdf}: mesh {geometry.mesh.filename!r} of link {link!r} is missing; {cure}")
     mesh, scale = _load_mesh(file), geometry.mesh.scale
     if not len(mesh.faces):
