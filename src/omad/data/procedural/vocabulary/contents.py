@@ -44,5 +44,5 @@ def _things(rng: np.random.Generator, floor: Rect, low: float, high: float) -> l
         room = np.array([floor.width, high - low, floor.height])
         size = rng.uniform(0.4, 1.0) * (room / extent).min() * extent
         place = np.array([floor.x0, low, floor.y0]) + rng.uniform(0.0, 1.0, 3) * [1, 0, 1] * (room - size)
-        solids.append(thing.warped(lambda at, c=corner, s=size / extent, p=place: (at - c) * s + p))
+        solids.append(Mesh((thing.vertices - corner) * (size / extent) + place, thing.faces))
     return solids
