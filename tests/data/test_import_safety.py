@@ -144,7 +144,7 @@ BAD = {
     "punycode": '<?xml version="1.0" encoding="punycode"?><robot name="r">\x80</robot>',
     "axis": hinged('<axis xyz="1 0"/>'),
     "far": hinged('<origin xyz="1e300 0 0"/>'),
-    "endless": hinged('<limit lower="0" upper="1e300"/>'),
+    "limit": hinged('<limit lower="0" upper="nan"/>'),
     "capsule": shaped('<capsule radius="1" length="2"/>'),
     "box": shaped('<box size="1 0"/>'),
     "no size": shaped('<box size="1 0 1"/>'),

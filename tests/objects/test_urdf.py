@@ -249,10 +249,6 @@ BAD = {
         [link("a"), link("b"), joint("j", "a", "b", inside='<origin xyz="up"/>')],
         "",
     ),
-    "endless limits": (
-        [link("a"), link("b"), joint("j", "a", "b", inside='<limit lower="-inf" upper="inf"/>')],
-        "limits.*'j'",
-    ),
     "a limit that is no number": (
         [link("a"), link("b"), joint("j", "a", "b", inside='<limit lower="0" upper="nan"/>')],
         "limits.*'j'",
