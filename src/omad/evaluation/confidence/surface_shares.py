@@ -51,7 +51,8 @@ def follows_better(estimator: Estimator, bank: ShapeBank, models: Sequence[Objec
         if estimate.is_finite:
             truth = merge_meshes(models[view.seed[1] % len(models)].posed(view.states, view.T_camera_base))
             seen = estimate.in_mirror() if estimate.of_other_hand else estimate
-            both = surfaces.fitted_both(seen, seen.covariance, seen.labelled.points, seen.part_labels)
+            given = seen, seen.covariance, seen.labelled.points, seen.part_labels
+            both = surfaces.fitted_each(*given, follows=(False, True))
             if estimate.of_other_hand:
                 both = [each.mirrored(category.turning) for each in both]
             posed = [merge_meshes(each.posed()) for each in both]

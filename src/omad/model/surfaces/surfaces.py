@@ -172,19 +172,18 @@ class Surfaces:
         states; its base and what moves may be of two objects. Where the bank says so, it follows what is seen of the
         parts beyond what these objects are. Without any point of the object the nearest one
         is carried over."""
-        return self.fitted_both(found, covariance, points, labels, (self.bank.follows,))[0]
+        return self.fitted_each(found, covariance, points, labels, (self.bank.follows,))[0]
 
     @undisturbed()
-    def fitted_both(
+    def fitted_each(
         self,
         found: PosedObject,
         covariance: np.ndarray,
         points: np.ndarray,
         labels: np.ndarray,
-        follows: Sequence[bool] = (False, True),
+        follows: Sequence[bool],
     ) -> list[FittedSurface]:
-        """``fitted`` as it is where the surface stays what the objects are, and where it follows what is seen: one
-        fit, whatever the bank says."""
+        """``fitted`` of one fit, whatever the bank says: for each of ``follows``, with what is seen followed or not."""
         unit, config = self.category.metres_per_unit, self.config
         cloud = Cloud.of(points / unit, labels, config.fit.most)
         if cloud is None or not np.isfinite(covariance).all():

@@ -28,15 +28,15 @@ def generate(rng: np.random.Generator, category: Category, unusual: np.random.Ge
     if rng.random() < 0.4:  # a tray, padding, or what it is full of, below where a lid's lip comes
         floor = max(floor, min(rim * rng.uniform(0.1, 0.8), rim - 0.4 * tall - 0.004))
     body = [outline.shell(0.0, rim, wall, floor, flare)]
-    inner = Rect(-width * flare / 2 + wall, width * flare / 2 - wall, -depth * flare / 2, depth * flare / 2)
+    foot = Rect(-width * flare / 2, width * flare / 2, -depth * flare / 2, depth * flare / 2).grown(-outline.fillet)
+    level = foot.grown(-wall)
     if rng.random() < 0.3:
         high = floor + (rim - floor) * rng.uniform(0.4, 0.95)
-        body += _dividers(rng, inner.grown(-outline.fillet, -wall - outline.fillet), floor, high, 0.6 * wall)
+        body += _dividers(rng, level, floor, high, 0.6 * wall)
     if unusual and unusual.random() < 0.6:
         below = max(rim - 0.4 * tall - 0.004, 0.5 * (floor + rim))
-        body += contents(unusual, inner.grown(-outline.fillet, -wall - outline.fillet), floor - 1e-4, below)
-    level = Rect(-width * flare / 2, width * flare / 2, -depth * flare / 2, depth * flare / 2).grown(-outline.fillet)
-    body += feet(rng, level.x1, level.height, 0.06 * rim, level.y1)
+        body += contents(unusual, level, floor - 1e-4, below)
+    body += feet(rng, foot.x1, foot.height, 0.06 * rim, foot.y1)
 
     top = _barrel(rng, width, depth, rim, tall) if rng.random() < 0.12 else lid(rng, outline, rim, wall, tall)
     moving = list(top.solids)
