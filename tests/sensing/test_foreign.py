@@ -226,3 +226,52 @@ def test_a_calibration_of_kalibr(tmp_path):
         camera = read_camera(tmp_path / "camchain.yaml")
         assert np.allclose(camera.K, [[600, 0, 319.5], [0, 601, 239.5], [0, 0, 1]])
         assert (camera.size, camera.distortion) == ((640, 480), Distortion(known, (0.1, -0.2, 0.001, 0.002)))
+
+
+def test_a_camera_of_colmap(tmp_path):
+    file, head = tmp_path / "cameras.txt", "# Camera list\n# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]\n"
+    for model, numbers, lens in (
+        ("PINHOLE", "600 601 320 240", None),
+        (
+            "OPENCV",
+            "600 601 320 240 0.1 -0.2 0.001 0.002",
+            Distortion("plumb_bob", (0.1, -0.2, 0.001, 0.002, 0, 0, 0, 0)),
+        ),
+        ("OPENCV_FISHEYE", "600 601 320 240 0.1 -0.2 0.03 0.01", Distortion("equidistant", (0.1, -0.2, 0.03, 0.01))),
+    ):
+        file.write_text(f"{head}1 {model} 640 480 {numbers}\n")
+        camera = read_camera(file)
+        assert np.allclose(camera.K, [[600, 0, 319.5], [0, 601, 239.5], [0, 0, 1]])  # its pixels' corners are whole
+        assert (camera.size, camera.distortion) == ((640, 480), lens)
+    file.write_text(f"{head}7 SIMPLE_RADIAL 640 480 600 320 240 0.1\n")
+    assert np.allclose(read_camera(file).K, [[600, 0, 319.5], [0, 600, 239.5], [0, 0, 1]])
+    for lines in (
+        2 * "1 PINHOLE 640 480 600 601 320 240\n",
+        "1 PINHOLE 640 480 600 320 240\n",
+        "1 FOV 640 480 6 6 3 2 1",
+    ):
+        file.write_text(head + lines)
+        with pytest.raises(InputError, match=r"cameras\.txt: not as COLMAP writes one camera"):
+            read_camera(file)
+
+
+def test_cameras_of_radiance_fields_and_of_record3d(tmp_path):
+    told = {
+        "fl_x": 600,
+        "fl_y": 601,
+        "cx": 319.5,
+        "cy": 239.5,
+        "w": 640,
+        "h": 480,
+        "k1": 0.1,
+        "k2": 0.0,
+        "p1": 0,
+        "p2": 0,
+    }
+    (tmp_path / "transforms.json").write_text(json.dumps(told | {"camera_model": "OPENCV", "frames": []}))
+    camera = read_camera(tmp_path / "transforms.json")
+    assert camera.size == (640, 480)
+    assert camera.distortion == Distortion("plumb_bob", (0.1, 0, 0, 0, 0, 0, 0, 0))
+    (tmp_path / "metadata").write_text(json.dumps({"K": [600, 0, 0, 0, 601, 0, 319.5, 239.5, 1], "fps": 60}))
+    for K in (camera.K, read_camera(tmp_path / "metadata").K):
+        assert np.allclose(K, [[600, 0, 319.5], [0, 601, 239.5], [0, 0, 1]])

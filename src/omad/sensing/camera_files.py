@@ -34,6 +34,18 @@ COEFFICIENTS = ("coeffs", "D", "d", "distortion_coefficients", "distortion_coeff
 """What lists of a lens's are called."""
 LENS, FISHEYE = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"), ("k1", "k2", "k3", "k4")
 """Coefficients by name, in OpenCV's order."""
+COLMAP = {
+    "SIMPLE_PINHOLE": "f cx cy",
+    "PINHOLE": "fx fy cx cy",
+    "SIMPLE_RADIAL": "f cx cy k1",
+    "RADIAL": "f cx cy k1 k2",
+    "OPENCV": "fx fy cx cy k1 k2 p1 p2",
+    "FULL_OPENCV": "fx fy cx cy k1 k2 p1 p2 k3 k4 k5 k6",
+    "OPENCV_FISHEYE": "fx fy cx cy k1 k2 k3 k4",
+}
+"""Its models, and what numbers of a line tell of each."""
+NERF = {"fl_x": "fx", "fl_y": "fy", "w": "width", "h": "height", "camera_model": "model"}
+"""Other names in a transforms.json of instant-ngp and Nerfstudio, whose models are COLMAP's."""
 SCALE = "depth_scale"
 YAML_CHARACTERS = 100_000
 """Which take a second to read."""
@@ -69,8 +81,9 @@ def read_camera(source: str | Path) -> CameraFile:
     ppx, ppy`` (with ``model`` and ``coeffs``, or ``k1`` and so on), ROS CameraInfo YAML (``K`` or ``k``, with
     ``distortion_model`` and ``D`` or ``d``), OpenCV's FileStorage YAML (``camera_matrix``,
     ``distortion_coefficients``), Kalibr's YAML of one camera, BOP's JSON (``cam_K``, of one image or the same of all),
-    NPY, or text, JSON or YAML holding 3x3 or 4 numbers, maybe as ``intrinsics``; beside these names ``depth_scale``.
-    Raises InputError for others."""
+    COLMAP's cameras.txt of one camera, instant-ngp's and Nerfstudio's transforms.json, Record3D's ``K`` (column by
+    column), NPY, or text, JSON or YAML holding 3x3 or 4 numbers, maybe as ``intrinsics``; beside these names
+    ``depth_scale``. Raises InputError for others."""
     text = str(source)
     if (numbers := _numbers(text)) is not None:
         return CameraFile(as_K(numbers, f"intrinsics {shown(repr(text))}"))
@@ -152,6 +165,8 @@ def _inner(data: Any) -> Any:
     (views of ``omad render``), ``intrinsics``, ``depth`` (beside those of the colour camera), ``cam0`` (Kalibr)."""
     if not isinstance(data, dict):
         return data
+    if "fl_x" in data:
+        return {NERF.get(key, key): value for key, value in data.items()}
     names = ("intrinsic", "camera", "intrinsics", "depth", "cam0")
     return next((data[name] for name in names if isinstance(data.get(name), dict)), data)
 
@@ -218,6 +233,8 @@ def _read(path: Path, key: str) -> Any:
 def _parsed(content: str, name: str | Path) -> Any:
     if (numbers := _numbers(content)) is not None:
         return numbers
+    if (camera := _of_colmap(content, name)) is not None:
+        return camera
     if content.lstrip().startswith("{"):  # YAML reads JSON too, but not the tabs that JSON allows
         return parse_json(content, name)
     if len(content) > YAML_CHARACTERS:
@@ -229,6 +246,22 @@ def _parsed(content: str, name: str | Path) -> Any:
         mark = getattr(error, "problem_mark", None)
         where = "" if mark is None else f" (line {mark.line + 1})"
         raise InputError(f"{name}: neither JSON, YAML nor numbers{where}; export it again") from error
+
+
+def _of_colmap(content: str, name: str | Path) -> dict[str, Any] | None:
+    """The camera of COLMAP's cameras.txt, whose image begins half a pixel before its first pixel's middle; None where
+    it is no such text. Raises InputError where it has several, or one of a model that is unknown."""
+    lines = [line.split() for line in content.splitlines() if line.strip() and not line.startswith("#")]
+    if not lines or len(lines[0]) < 7 or not (lines[0][0].isdecimal() and lines[0][1].isupper()):
+        return None
+    (_, model, *numbers), *others = lines
+    keys = COLMAP.get(model, "").split()
+    if others or len(numbers) != len(keys) + 2 or (values := _numbers(" ".join(numbers))) is None:
+        known = f"one line ID MODEL WIDTH HEIGHT and the model's numbers, the model of {', '.join(COLMAP)}"
+        raise InputError(f"{name}: not as COLMAP writes one camera; give {known}")
+    told = dict(zip(("width", "height", *keys), values.tolist(), strict=True))
+    told |= {axis: told["f"] for axis in ("fx", "fy") if "f" in told}
+    return told | {"model": model, "cx": told["cx"] - 0.5, "cy": told["cy"] - 0.5}
 
 
 class _PlainYaml(yaml.SafeLoader):
@@ -251,7 +284,9 @@ def _find_intrinsics(data: Any, name: str | Path) -> np.ndarray:
             return matrix if not matrix[2, :2].any() else matrix.T
         for key in MATRICES:
             if key in data:
-                return np.asarray(_listed(data[key]), dtype=np.float64)
+                matrix = np.asarray(_listed(data[key]), dtype=np.float64)
+                by_columns = matrix.shape == (9,) and matrix[6:8].any() and not matrix[[2, 5]].any()
+                return matrix.reshape(3, 3).T if by_columns else matrix
         centre = ("ppx", "ppy") if "ppx" in data else ("cx", "cy")
         return np.array([data[key] for key in ("fx", "fy", *centre)], dtype=np.float64)
     except WRONG as error:
@@ -281,6 +316,8 @@ def _model_name(told: Any) -> str | None:
     if isinstance(told, int):
         return dict(enumerate(REALSENSE))[told]  # a tuple has something at -1, too
     name = str(told).strip().lower().removeprefix("rs2_").removeprefix("distortion").lstrip("._")
+    if name.upper() in COLMAP:
+        return "equidistant" if "fisheye" in name else "plumb_bob"
     return {"fisheye": "equidistant", "radtan": "plumb_bob"}.get(name, name.replace(" ", "_").replace("-", "_")) or None
 
 
