@@ -33,7 +33,7 @@ def generate(rng: np.random.Generator, category: Category, unusual: np.random.Ge
     if rng.random() < 0.3:
         high = floor + (rim - floor) * rng.uniform(0.4, 0.95)
         body += _dividers(rng, level, floor, high, 0.6 * wall)
-    if unusual and unusual.random() < 0.6:
+    if unusual and unusual.random() < 0.8:
         below = max(rim - 0.4 * tall - 0.004, 0.5 * (floor + rim))
         body += contents(unusual, level, floor - 1e-4, below)
     body += feet(rng, foot.x1, foot.height, 0.06 * rim, foot.y1)

@@ -15,7 +15,7 @@ from .cases import Rect
 def contents(rng: np.random.Generator, floor: Rect, low: float, high: float) -> list[Mesh]:
     """What lies on a floor at y = ``low`` and is no taller than y = ``high``; the rectangle's second side runs along z.
     Up to three things of any kind, or a row of ramps that fill it: nothing there tells where up is."""
-    return _ramps(rng, floor, low, high) if rng.random() < 0.4 else _things(rng, floor, low, high)
+    return _ramps(rng, floor, low, high) if rng.random() < 0.5 else _things(rng, floor, low, high)
 
 
 def _ramps(rng: np.random.Generator, floor: Rect, low: float, high: float) -> list[Mesh]:
