@@ -21,6 +21,7 @@ from omad.estimation.confidence.model import FILE, Confidence
 from omad.estimation.confidence.perceptron import Perceptron
 from omad.estimation.confidence.signals import IMAGE, JOINT, WITHOUT_FRONT, Signals, _trace_between, cut_off
 from omad.estimation.estimate import Estimate
+from omad.estimation.evidence import explanation
 from omad.geometry.transforms import quaternion_to_matrix
 from omad.model.checkpoint import find_weights
 from omad.model.fronts.network import shipped_front_net
@@ -154,12 +155,28 @@ def test_the_front_is_looked_at_only_where_it_is_asked_for(plain: omad.Estimator
     before = replace(always(LAPTOP, 0.02, 0.11, 0.3), image=WITHOUT_FRONT, **without)
     seen, unseen = asking(observed()), omad.Estimator(plain.net, plain.config, confidence=before)(observed())
     assert unseen.probability == 0.5
-    assert (seen.signals.image[0, :-1] == unseen.signals.image[0, :-1]).all()
-    assert unseen.signals.image[0, -1] == 0
+    front = IMAGE.index("front")
+    assert (seen.signals.image[0, :front] == unseen.signals.image[0, :front]).all()
+    assert unseen.signals.image[0, front] == 0
+    assert (seen.signals.image[0, front + 1 :] == 0).all()
     image = front_of(seen, LAPTOP, seen.labelled.points)[None]
     told = np.exp(shipped_front_net().says(image)[0, shipped_front_net().names.index("laptop")])
-    assert seen.signals.image[0, -1] == pytest.approx(np.log(told / (1 - told)), rel=1e-6)
+    assert seen.signals.image[0, front] == pytest.approx(np.log(told / (1 - told)), rel=1e-6)
     assert (shipped_front_net().odds(image, "kite") == 0).all()
+
+
+def test_the_surface_is_held_against_what_was_seen_only_where_it_is_asked_for(plain: omad.Estimator) -> None:
+    size, surfaces = len(IMAGE) + len(JOINT), omad.Estimator.from_pretrained("laptop", "cpu").surfaces
+    with_surface = {"image": IMAGE, "right": constant(size, [0.0]), "errors": constant(size + 1, [-3.0, 1.0])}
+    asks = replace(always(LAPTOP, 0.02, 0.11, 0.9), **with_surface)
+    asking = omad.Estimator(plain.net, plain.config, confidence=asks, surfaces=surfaces)
+    estimate = asking(observed())
+    known = explanation(observed(), estimate)
+    shares = dict(zip(IMAGE, estimate.signals.image[0], strict=True))
+    for name, share in (("in front", known.in_front), ("behind", known.behind), ("missing", known.missing)):
+        assert shares[f"surface {name}"] == pytest.approx(share, abs=0.04), name
+    with pytest.raises(InputError, match="laptop: its confidence asks for surfaces, and there are none; run omad"):
+        omad.Estimator(plain.net, plain.config, confidence=asks)
 
 
 def test_signals_see_a_worse_view(plain: omad.Estimator) -> None:

@@ -19,7 +19,7 @@ from omad.data.rendering.spoils.spoil import Spoil
 from omad.data.rendering.spoils.thinned import FEWEST, thinned_spoil
 from omad.data.rendering.standard_views import standard_view
 from omad.estimation.confidence.model import Confidence, FittedTo, deviations
-from omad.estimation.confidence.signals import IMAGE, JOINT, WITHOUT_FRONT, Signals
+from omad.estimation.confidence.signals import IMAGE, JOINT, WITHOUT_FRONT, WITHOUT_SURFACE, Signals
 from omad.evaluation.calibration import area_under_roc, expected_calibration_error
 from omad.evaluation.confidence import fitting, views
 from omad.evaluation.confidence.fitting import Answers, fit, measured
@@ -31,15 +31,20 @@ BASE = 0.6, 2.0
 """How many times as far as by least squares its base is turned, and moved."""
 
 
-def answers(seed: int, half_turned: float = 0.0, front: float = 0.0) -> tuple[Answers, np.ndarray]:
+def answers(
+    seed: int, half_turned: float = 0.0, front: float = 0.0, surface: float = 0.0
+) -> tuple[Answers, np.ndarray]:
     """Answers whose errors are normal with a deviation that one signal tells, some of them ``half_turned`` where
-    another one says so; and the true probabilities of being right, (N,), of which the ``front`` tells so much."""
+    another one says so; and the true probabilities of being right, (N,), of which the ``front`` and the
+    ``surface`` tell so much."""
     rng = np.random.default_rng(seed)
     image, joint = rng.normal(size=(VIEWS, len(IMAGE))), rng.normal(size=(VIEWS, 1, len(JOINT)))
     errors = np.abs(rng.normal(size=VIEWS)) * np.exp(-3 + 0.7 * joint[:, 0, 0])
     turned = (rng.random(VIEWS) < half_turned) & (image[:, 3] > 0)
     errors = np.where(turned, rng.uniform(1.0, 2.0, VIEWS), errors)
-    likely = 1 / (1 + np.exp(-(0.5 + 2.0 * image[:, 1] + front * image[:, -1])))
+    likely = 1 / (
+        1 + np.exp(-(0.5 + 2.0 * image[:, 1] + front * image[:, IMAGE.index("front")] + surface * image[:, -1]))
+    )
     right, least = rng.random(VIEWS) < likely, np.full((VIEWS, 1), np.exp(-3))
     wider = np.exp(0.35 * joint[:, 0, :1])  # half of the way, in logarithms, that a joint's deviation is wider
     base = np.abs(rng.normal(size=(VIEWS, 6))) * wider * np.repeat(BASE, 3)
@@ -99,16 +104,17 @@ def test_probabilities_are_those_that_answers_were_drawn_with(fitted: Confidence
 
 
 @pytest.mark.slow
-def test_the_front_is_asked_for_where_it_tells_right_from_wrong(
+def test_front_and_surface_are_asked_for_where_they_tell_right_from_wrong(
     fitted: Confidence, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert not fitted.asks_front
+    assert fitted.image == WITHOUT_FRONT
     monkeypatch.setattr(fitting, "fit_errors", lambda inputs, errors: fitted.errors)
     monkeypatch.setattr(fitting, "base_multiples", lambda *_: fitted.base)
-    asking = fit(answers(0, front=1.0)[0], LAPTOP, TO_TEST)
-    assert asking.asks_front
-    unseen, likely = answers(1, front=1.0)
-    assert np.abs(asking.probabilities(unseen.signals) - likely).mean() < 0.05
+    for telling, asked in (({"front": 1.0}, WITHOUT_SURFACE), ({"surface": 1.0}, IMAGE)):
+        asking = fit(answers(0, **telling)[0], LAPTOP, TO_TEST)
+        assert asking.image == asked
+        unseen, likely = answers(1, **telling)
+        assert np.abs(asking.probabilities(unseen.signals) - likely).mean() < 0.05
 
 
 @pytest.mark.slow
@@ -136,8 +142,11 @@ def test_too_few_views_are_refused_before_any_is_made(monkeypatch: pytest.Monkey
 
 def test_a_person_is_told_what_was_promised_and_what_was_measured(fitted: Confidence) -> None:
     record = fitting.measured(fitted, answers(1)[0], LAPTOP)
-    lines = confidence_text({"checkpoint": "run", "views": VIEWS, "asks_front": False} | record).splitlines()
+    lines = confidence_text(
+        {"checkpoint": "run", "views": VIEWS, "asks_front": False, "asks_surface": True} | record
+    ).splitlines()
     assert re.fullmatch(r"joint states in their 90 % interval +90% +\d+%", lines[4])
+    assert lines[-1] == "asks what the front looks like: no; asks what the surface explains: yes"
 
 
 def test_a_fit_can_be_kept(fitted: Confidence, tmp_path: Path) -> None:

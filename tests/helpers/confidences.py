@@ -4,7 +4,7 @@ import numpy as np
 
 from omad.estimation.confidence.model import Confidence, FittedTo
 from omad.estimation.confidence.perceptron import Perceptron
-from omad.estimation.confidence.signals import IMAGE, JOINT
+from omad.estimation.confidence.signals import JOINT, WITHOUT_SURFACE
 from omad.objects.category import Category
 
 
@@ -21,9 +21,9 @@ def always(category: Category, median: float, upper: float, probability: float) 
     errors = [np.log(median), np.log(np.expm1(np.log(upper / median)))]
     return Confidence(
         category.name,
-        IMAGE,
+        WITHOUT_SURFACE,
         JOINT,
-        constant(len(IMAGE) + len(JOINT) + joints, [float(value) for value in errors]),
-        constant(len(IMAGE) + joints * len(JOINT), [float(np.log(probability / (1 - probability)))]),
+        constant(len(WITHOUT_SURFACE) + len(JOINT) + joints, [float(value) for value in errors]),
+        constant(len(WITHOUT_SURFACE) + joints * len(JOINT), [float(np.log(probability / (1 - probability)))]),
         FittedTo("tests", 0, "0"),
     )

@@ -8,13 +8,14 @@ import numpy as np
 
 from omad.common.errors import InputError
 from omad.geometry.rigid import box
+from omad.model.surfaces.agreement import Agreement
 from omad.objects.category import Category
 from omad.sensing.cutting.not_depth import ENOUGH, Z_BUFFER, NotDepth, may_be_z_buffer, what_else
 from omad.sensing.observation import Observation
 
 from .confidence.signals import cut_off
 from .estimate import Estimate
-from .evidence import agreement, explanation
+from .evidence import explanation
 from .known import Known
 
 USUAL_SIZE = 2.5
@@ -299,7 +300,7 @@ def _surface_doubts(observation: Observation, estimate: Estimate) -> Iterator[Ch
     if len(observation.points) < FEW_POINTS or found.explained >= UNEXPLAINED:
         return
     if estimate.is_finite:  # takes long; most answers are explained without it
-        found = agreement(estimate.surface.posed(), observation)
+        found = Agreement.of(estimate.surface.posed(), observation)
     if found.explained < HALF_EXPLAINED:
         others = f"in front {found.in_front:.0%}, behind {found.behind:.0%}, missing {found.missing:.0%}"
         yield Check(

@@ -3,7 +3,6 @@
 Lengths are relative to the size of the cloud, expected errors to the category's unit; 0 or strongly negative is good.
 """
 
-from collections.abc import Sequence
 from dataclasses import astuple, dataclass
 
 import numpy as np
@@ -11,10 +10,9 @@ import numpy as np
 from omad.common.arrays import as_doubles
 from omad.data.rendering.rasteriser import render
 from omad.geometry.camera import Camera
-from omad.geometry.mesh import Mesh
 from omad.geometry.rigid import diagonal
 from omad.model.prior import OmadPrior
-from omad.model.surfaces.agreement import Agreement, Overlay
+from omad.model.surfaces.agreement import NOWHERE, Agreement
 from omad.sensing.observation import Observation
 
 from .estimate import Estimate
@@ -71,15 +69,8 @@ def measure_evidence(observation: Observation, estimate: Estimate, prior: OmadPr
 def explanation(observation: Observation, estimate: Estimate) -> Agreement:
     """What of the observation the estimate's surface explains, as keypoints alone tell it."""
     if not np.isfinite(estimate.keypoints).all():
-        return Agreement(0.0, 0.0, 0.0, 1.0)
-    return agreement(estimate.carried_model().posed(estimate.joint_states, estimate.T_camera_base), observation)
-
-
-def agreement(placed: Sequence[Mesh], observation: Observation) -> Agreement:
-    """What of the observation parts explain that are ``placed`` in the camera frame, metres."""
-    if not (observation.points[:, 2] > 0).any():
-        return Agreement(0.0, 0.0, 0.0, 1.0)
-    return Overlay.of(placed, observation).agreement
+        return NOWHERE
+    return Agreement.of(estimate.carried_model().posed(estimate.joint_states, estimate.T_camera_base), observation)
 
 
 def _visible(estimate: Estimate, points: np.ndarray) -> np.ndarray:

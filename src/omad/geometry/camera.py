@@ -6,6 +6,7 @@ from typing import Self
 import numpy as np
 
 from .lens import Distortion
+from .rigid import box
 
 NEAREST = 1e-6
 """Metres. Points nearer than this, and those behind the camera, are projected as if they were so far."""
@@ -45,7 +46,7 @@ class Camera:
     def around(cls, rays: np.ndarray, across: int, finest: float = np.inf) -> Self:
         """A pinhole that sees all ``rays`` (N, 2), x / z and y / z: ``across`` pixels along the longer side of its
         image, or less, where its focal length would be more than ``finest`` pixels."""
-        low, high = rays.min(0), rays.max(0)
+        low, high = box(rays)
         f = float(min(across / max(float((high - low).max()), 1e-6), finest))
         width, height = (np.ceil((high - low) * f).astype(int) + 1).tolist()
         return cls(width, height, f, f, float(-low[0] * f), float(-low[1] * f))

@@ -36,7 +36,7 @@ NOTHING = "nothing"
 @dataclass(frozen=True, kw_only=True)
 class TrainAll:
     """Train every category from its procedural objects: the prior, the network from a shared backbone on spoilt views,
-    then with the refined answer's error, confidence, surfaces; and measure it. What is done stays, and what was
+    then with the refined answer's error, surfaces, confidence; and measure it. What is done stays, and what was
     interrupted goes on, when the command is given again. Two of it, with other categories, may run side by side."""
 
     output: Path
@@ -93,8 +93,8 @@ class TrainAll:
             ("prior", lambda: is_checkpoint(priors), TrainPrior(**prior, output=priors)),
             ("network", lambda: is_checkpoint(first), TrainNet(**start, output=first)),
             ("network by the refined answer's error", lambda: is_checkpoint(home), TrainNet(**last, output=home)),
-            ("confidence", (home / confidences.FILE).is_file, TrainConfidence(**made, views=confident, seed=self.seed)),
             ("bank of surfaces", (home / bank.FILE).is_file, TrainSurface(**made, views=self.views, device=device)),
+            ("confidence", (home / confidences.FILE).is_file, TrainConfidence(**made, views=confident, seed=self.seed)),
         )
         for what, done, stage in stages:
             kept = processes.from_first(done)

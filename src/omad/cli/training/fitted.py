@@ -45,6 +45,7 @@ def confidence_text(answer: dict[str, Any]) -> str:
     rows += [[name, share, f"{answer[key]:.0%}"] for name, (key, share) in promised.items()]
     error, area = answer["calibration_error"], answer["area_under_roc"]
     told = f"{answer['right']:.0%} of the answers are right; their probability: calibration error {error:.3f}"
-    asks = f"asks what the front looks like: {'yes' if answer['asks_front'] else 'no'}"
+    asked = {"what the front looks like": answer["asks_front"], "what the surface explains": answer["asks_surface"]}
+    asks = "; ".join(f"asks {what}: {'yes' if does else 'no'}" for what, does in asked.items())
     made = f"{answer['checkpoint']}: confidence.json, fitted to {answer['views']} views"
     return "\n".join([made, table(rows), f"{told}, area under the ROC {area:.3f}", asks])

@@ -39,6 +39,7 @@ with lazy_imports():
     from omad.data.source import is_generated, load_models, load_objects
     from omad.data.training_views import ViewSettings
     from omad.estimation.confidence import model as confidences
+    from omad.estimation.confidence.signals import IMAGE, WITHOUT_SURFACE
     from omad.evaluation.baselines.ancsh.training import AncshTraining, train_ancsh
     from omad.evaluation.baselines.siamese import SiameseTraining, train_siamese
     from omad.evaluation.confidence import fitting
@@ -335,7 +336,8 @@ class TrainConfidence(CategoryCommand):
     """Learn how far to believe a network's answers: intervals of joint states, and the probability that an answer is
     right. From views of objects that the network has not seen, spoilt at random, and of other things; a few minutes.
     Where objects may be of either hand, how to tell which is learned first, from twice as many views and their mirror
-    images. How alike views of one object err is learned last. Writes confidence.json into the checkpoint folder, in
+    images. How alike views of one object err is learned last. Where a bank of surfaces lies beside the network, answers
+    are also held against what was seen, if that tells enough. Writes confidence.json into the checkpoint folder, in
     place of what is there, and says how well it keeps its word on a quarter as many views of other scenes."""
 
     source: str = "procedural"
@@ -356,8 +358,11 @@ class TrainConfidence(CategoryCommand):
         folder = find_weights(self.weights or self.category)
         net = load(OmadNet, folder)
         self.check_weights(net.category)
-        estimator = omad.Estimator(net, device=pick_device(self.device))  # what it may know of its errors is of before
-        estimator.answers.asks_front, category = True, net.category
+        category = net.category
+        surfaces = Surfaces.beside(folder, net.prior, category)
+        # what it may know of its errors is of before
+        estimator = omad.Estimator(net, device=pick_device(self.device), surfaces=surfaces)
+        estimator.answers.asked = IMAGE if surfaces else WITHOUT_SURFACE
         models = load_models(self.source, category, self.objects, "train", UNSEEN).models
         _check_folder_of(self.weights, folder, confidences.FILE)
         if category.either_hand:
@@ -365,10 +370,11 @@ class TrainConfidence(CategoryCommand):
         answers = fitting.answered(estimator, models, self.views, self.seed)
         confidence = fitting.fit(answers, category, fitting.FittedTo(self.source, self.views, omad.__version__))
         confidence = replace(confidence, hand=estimator.hand)
-        judging = omad.Estimator(net, device=estimator.device, confidence=confidence)
+        judging = omad.Estimator(net, device=estimator.device, confidence=confidence, surfaces=surfaces)
         shared = fit_shared(judging, models, max(self.views // VIEWS_AN_OBJECT, 1), self.seed + 3)
         confidence = replace(confidence, shared=shared)
         confidence.save(folder)
-        record = {"checkpoint": str(folder), "views": self.views, "asks_front": confidence.asks_front}
+        asks = {f"asks_{what}": name in confidence.image for what, name in (("front", "front"), ("surface", IMAGE[-1]))}
+        record = {"checkpoint": str(folder), "views": self.views, **asks}
         others = fitting.answered(estimator, models, max(self.views // 4, 1), self.seed + 2)  # not those fitted to
         return Answer(record | fitting.measured(confidence, others, category), confidence_text)

@@ -21,7 +21,7 @@ from omad.common.incoming import read_sealed, sealed
 from omad.objects.category import Category
 
 from .perceptron import Perceptron
-from .signals import IMAGE, JOINT, WITHOUT_FRONT, Signals
+from .signals import IMAGE, JOINT, WITHOUT_FRONT, WITHOUT_SURFACE, Signals
 
 FILE, WEIGHTS = "confidence.json", "model.safetensors"
 FORMAT = 1
@@ -76,11 +76,6 @@ class Confidence:
     """How many times as far as by least squares the base is turned and moved away from where it is, but for
     ``widening``."""
 
-    @property
-    def asks_front(self) -> bool:
-        """Whether it asks for what the object's front says."""
-        return len(self.image) == len(IMAGE)
-
     def spreads(self, signals: Signals, category: Category) -> tuple[np.ndarray, np.ndarray]:
         """``state_std`` (B, J), radians or metres, and ``tail`` (B, J) of ``JointEstimate``."""
         median, ratio = np.moveaxis(self.errors(joint_inputs(signals.known_by(self.image))), -1, 0)
@@ -126,7 +121,7 @@ class Confidence:
             raise InputError(f"{path}: base is {found.base}, of which both must be above zero; {CURE}")
         if found.category != category.name:
             raise InputError(f"{path}: is for {found.category}, not for {category.name}; {CURE}")
-        if found.image not in (WITHOUT_FRONT, IMAGE) or found.joint != JOINT or sizes != (
+        if found.image not in (WITHOUT_FRONT, WITHOUT_SURFACE, IMAGE) or found.joint != JOINT or sizes != (
             image + len(JOINT) + joints, 2, image + joints * len(JOINT), 1
         ):  # fmt: skip
             raise InputError(f"{path}: field image, joint, errors or right: of another version; {CURE}")

@@ -19,6 +19,8 @@ from omad.model.fronts.network import shipped_front_net
 from omad.model.fronts.seen import front_of
 from omad.model.omadnet import Prediction
 from omad.model.prior import OmadPrior
+from omad.model.surfaces.agreement import NOWHERE, Agreement
+from omad.model.surfaces.surfaces import Surfaces
 from omad.objects.category import Category
 from omad.sensing.observation import Observation
 
@@ -26,10 +28,14 @@ IMAGE = (
     "expected error", "worst expected error", "misfit", "residual", "shape", "spread", "turned since the look",
     "moved since the look", "turned from the network's own pose", "outside", "points", "cut off", "size",
     "from the side", "from above", "from the front", "distance", "not converged", "front",
+    "surface in front", "surface behind", "surface missing",
 )  # fmt: skip
 """Of the whole estimate."""
-WITHOUT_FRONT = IMAGE[:-1]
-"""What is asked for where the front is not worth its time."""
+WITHOUT_SURFACE, WITHOUT_FRONT = IMAGE[:-3], IMAGE[:-4]
+"""What is asked for where it is not worth its time to hold the surface against what was seen, or to look at the front,
+either."""
+ACROSS = 64
+"""Pixels of the picture in which surfaces are held against what was seen: 160 tell no more, and take longer."""
 JOINT = (
     "std", "network's own state", "spread", "beyond its limits", "travel", "expected error", "misfit", "points",
 )  # fmt: skip
@@ -87,11 +93,12 @@ class Meter:
 
     def __call__(
         self, observations: Sequence[Observation], clouds: Tensor, frame: Tensor, said: Prediction, targets: Targets,
-        refined: Refined, posed: Sequence[PosedObject], front: bool,
+        refined: Refined, posed: Sequence[PosedObject], asked: tuple[str, ...], surfaces: Surfaces | None,
     ) -> Signals:  # fmt: skip
         """Of B observations' last look: in ``frame`` (B, 4, 4) the network was shown ``clouds`` (B, samples, n, 3) and
         ``said`` what they are, (B samples); these are the ``targets`` that the objects so ``posed`` were fitted to.
-        ``front``: whether what their fronts say of the category is asked for; zero otherwise."""
+        ``asked``: the first of ``IMAGE``; what takes time and is not among them is zero.
+        ``surfaces``: which the objects have."""
         batch, joints = len(observations), len(self._half)
 
         def each(values: Tensor) -> np.ndarray:
@@ -133,7 +140,8 @@ class Meter:
             view[:, 2],
             np.log(away + LEAST),
             1.0 - as_doubles(refined.converged),
-            self._front(observations, posed) if front else np.zeros(batch),
+            self._front(observations, posed) if "front" in asked else np.zeros(batch),
+            *(_unexplained(observations, posed, surfaces) if asked == IMAGE and surfaces else np.zeros((3, batch))),
         ]
         travel = (states - self._middle) / self._half
         variance = as_doubles(refined.covariance).diagonal(axis1=1, axis2=2)[:, 6 : 6 + joints]
@@ -154,6 +162,19 @@ class Meter:
         """(B,) log-odds that the objects are of the category."""
         images = [front_of(one, self._category, seen.points) for one, seen in zip(posed, observations, strict=True)]
         return shipped_front_net().odds(np.stack(images), self._category.name)
+
+
+def _unexplained(observations: Sequence[Observation], posed: Sequence[PosedObject], surfaces: Surfaces) -> np.ndarray:
+    """(3, B) shares of the pixels where the objects' surfaces are in front of what was seen, behind it, and missing."""
+    found = [_agreement(*each, surfaces) for each in zip(observations, posed, strict=True)]
+    return np.array([[one.in_front, one.behind, one.missing] for one in found]).T
+
+
+def _agreement(observation: Observation, posed: PosedObject, surfaces: Surfaces) -> Agreement:
+    if not np.isfinite(posed.keypoints).all():
+        return NOWHERE
+    placed = zip(surfaces.of_keypoints(posed.canonical_keypoints), posed.placed.T_camera_part, strict=True)
+    return Agreement.of([part.carried(T) for part, T in placed], observation, ACROSS)
 
 
 def _finite(values: np.ndarray) -> np.ndarray:

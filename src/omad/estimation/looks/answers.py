@@ -7,6 +7,7 @@ import numpy as np
 import torch
 
 from omad.common.arrays import as_doubles, as_numpy
+from omad.common.errors import InputError
 from omad.model.fitting.posed_object import Poser
 from omad.model.fitting.state import Refined, State
 from omad.model.prior import OmadPrior
@@ -15,10 +16,12 @@ from omad.objects.category import Category
 
 from ..checks import network_doubts, size_doubts
 from ..confidence.model import SHARED, Confidence
-from ..confidence.signals import Meter, Signals
+from ..confidence.signals import IMAGE, WITHOUT_FRONT, Meter, Signals
 from ..estimate import Estimate, PoseEstimate
 from .look import Look
 from .shown import Shown
+
+CURE = "run omad train surface, or omad train confidence anew"
 
 
 class Answers:
@@ -28,7 +31,9 @@ class Answers:
         self, category: Category, prior: OmadPrior, confidence: Confidence | None, surfaces: Surfaces | None
     ) -> None:
         self._category, self._prior, self._confidence, self.surfaces = category, prior, confidence, surfaces
-        self.asks_front = confidence is not None and confidence.asks_front
+        self.asked = WITHOUT_FRONT if confidence is None else confidence.image
+        if self.asked == IMAGE and surfaces is None:
+            raise InputError(f"{category.name}: its confidence asks for surfaces, and there are none; {CURE}")
         self.shared = SHARED if confidence is None else confidence.shared
         self._meter = Meter(category, prior)
 
@@ -51,7 +56,7 @@ class Answers:
         batch = len(posed) // 2
         clouds = shown.clouds[:, -last.samples :]
         answers = last.frame, last.said, last.targets, refined, posed[:batch]
-        signals = self._meter(shown.observations, clouds, *answers, self.asks_front)
+        signals = self._meter(shown.observations, clouds, *answers, self.asked, self.surfaces)
         std, tail, base_std, probability = self._judged(signals, covariance)
         final = PoseEstimate.of(category, posed[:batch], std, tail)
         initial = PoseEstimate.of(category, posed[batch:], np.full_like(std, np.nan), np.ones_like(std))

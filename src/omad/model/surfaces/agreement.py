@@ -9,12 +9,15 @@ import numpy as np
 from omad.data.rendering.rasteriser import render_parts
 from omad.geometry.camera import Camera
 from omad.geometry.mesh import Mesh
+from omad.geometry.rigid import box
 from omad.sensing.observation import Observation
 
 ACROSS = 160
 """Pixels that are compared along the longer side of the picture around the object; fewer where the image has fewer."""
 MARGIN = 0.02
 """Of the object's size: depths that differ by less are the same."""
+SIZED = 4000
+"""Points that its size is taken of."""
 
 
 @dataclass(frozen=True)
@@ -29,6 +32,17 @@ class Agreement:
     """The surface is behind where the object was seen."""
     missing: float
     """The object was seen where there is no surface."""
+
+    @classmethod
+    def of(cls, parts: Sequence[Mesh], observation: Observation, across: int = ACROSS) -> "Agreement":
+        """Parts (camera frame, metres) and what was seen of them, in a picture so many pixels ``across``."""
+        if not (observation.points[:, 2] > 0).any():
+            return NOWHERE
+        return Overlay.of(parts, observation, across).agreement
+
+
+NOWHERE = Agreement(0.0, 0.0, 0.0, 1.0)
+"""Of an object that is nowhere, or was seen behind the camera."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,11 +61,12 @@ class Overlay:
     """Metres by which depths may differ."""
 
     @classmethod
-    def of(cls, parts: Sequence[Mesh], observation: Observation) -> "Overlay":
+    def of(cls, parts: Sequence[Mesh], observation: Observation, across: int = ACROSS) -> "Overlay":
         """Parts (camera frame, metres) and what was seen of them, a depth image or a cloud."""
-        camera = _camera_around(parts, observation)
+        camera = _camera_around(parts, observation, across)
         rendered = render_parts(parts, camera).depth
-        size = float(np.linalg.norm(np.ptp(np.percentile(observation.points, [2, 98], axis=0), axis=0)))
+        some = observation.points[:: -(-len(observation.points) // SIZED)]
+        size = float(np.linalg.norm(np.ptp(np.percentile(some, [2, 98], axis=0), axis=0)))
         return cls(camera, *_seen(observation, camera), rendered, MARGIN * size)
 
     @cached_property
@@ -71,18 +86,17 @@ class Overlay:
         """Of all pixels; all are missing where none shows or should show the object."""
         counts = {name: int(np.count_nonzero(where)) for name, where in self.differences.items()}
         total = sum(counts.values())
-        return Agreement(**{name: count / total for name, count in counts.items()}) if total else Agreement(0, 0, 0, 1)
+        return Agreement(**{name: count / total for name, count in counts.items()}) if total else NOWHERE
 
 
-def _camera_around(parts: Sequence[Mesh], observation: Observation) -> Camera:
+def _camera_around(parts: Sequence[Mesh], observation: Observation, across: int) -> Camera:
     """One that sees surface and cloud, with pixels no finer than those of the image."""
-    points = np.concatenate([observation.points, *(part.vertices for part in parts)])
-    points = points[points[:, 2] > 0]
-    rays = points[:, :2] / points[:, 2:]
+    before = [points[points[:, 2] > 0] for points in (observation.points, *(part.vertices for part in parts))]
+    rays = np.concatenate([box(points[:, :2] / points[:, 2:]) for points in before if len(points)])
     if observation.camera is not None:
-        return Camera.around(rays, ACROSS, observation.camera.fx)
+        return Camera.around(rays, across, observation.camera.fx)
     area = max(float(np.prod(np.ptp(rays, axis=0))), 1e-12)
-    return Camera.around(rays, ACROSS, 0.5 * np.sqrt(len(observation.points) / area))
+    return Camera.around(rays, across, 0.5 * np.sqrt(len(observation.points) / area))
 
 
 def _seen(observation: Observation, camera: Camera) -> tuple[np.ndarray, np.ndarray]:

@@ -65,7 +65,8 @@ class ShapeBank:
     def nearest(self, keypoints: np.ndarray, count: int, some: slice = slice(None)) -> tuple[np.ndarray, np.ndarray]:
         """The ``count`` objects of whose keypoints ``some`` are nearest to those of ``keypoints`` (M, 3), nearest
         first, and the RMS distances (count,)."""
-        apart = np.square(self.keypoints[:, some] - keypoints[some]).sum(2).mean(1)
+        away = (self.keypoints[:, some] - keypoints[some]).reshape(len(self), -1)
+        apart = np.einsum("nk,nk->n", away, away) / len(keypoints[some])
         found = np.argsort(apart, kind="stable")[:count]
         return found, np.sqrt(apart[found])
 
