@@ -39,7 +39,7 @@ with lazy_imports():
     from omad.data.source import is_generated, load_models, load_objects
     from omad.data.training_views import ViewSettings
     from omad.estimation.confidence import model as confidences
-    from omad.estimation.confidence.signals import IMAGE, WITHOUT_SURFACE
+    from omad.estimation.confidence import signals
     from omad.evaluation.baselines.ancsh.training import AncshTraining, train_ancsh
     from omad.evaluation.baselines.siamese import SiameseTraining, train_siamese
     from omad.evaluation.confidence import fitting
@@ -362,7 +362,7 @@ class TrainConfidence(CategoryCommand):
         surfaces = Surfaces.beside(folder, net.prior, category)
         # what it may know of its errors is of before
         estimator = omad.Estimator(net, device=pick_device(self.device), surfaces=surfaces)
-        estimator.answers.asked = IMAGE if surfaces else WITHOUT_SURFACE
+        estimator.answers.asked = signals.IMAGE if surfaces else signals.WITHOUT_SURFACE
         models = load_models(self.source, category, self.objects, "train", UNSEEN).models
         _check_folder_of(self.weights, folder, confidences.FILE)
         if category.either_hand:
@@ -374,7 +374,10 @@ class TrainConfidence(CategoryCommand):
         shared = fit_shared(judging, models, max(self.views // VIEWS_AN_OBJECT, 1), self.seed + 3)
         confidence = replace(confidence, shared=shared)
         confidence.save(folder)
-        asks = {f"asks_{what}": name in confidence.image for what, name in (("front", "front"), ("surface", IMAGE[-1]))}
+        asks = {
+            f"asks_{what}": name in confidence.image
+            for what, name in (("front", "front"), ("surface", signals.IMAGE[-1]))
+        }
         record = {"checkpoint": str(folder), "views": self.views, **asks}
         others = fitting.answered(estimator, models, max(self.views // 4, 1), self.seed + 2)  # not those fitted to
         return Answer(record | fitting.measured(confidence, others, category), confidence_text)
