@@ -1,6 +1,7 @@
 """Fitting confidence, on numbers whose distribution is known, and the views that it is fitted to."""
 
 import re
+import shutil
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 from scipy.stats import mannwhitneyu, norm
 
+import omad
 from helpers.categories import DRAWER, LAPTOP
 from omad.cli.training.fitted import confidence_text
 from omad.cli.training.networks import TrainConfidence
@@ -24,6 +26,7 @@ from omad.evaluation.calibration import area_under_roc, expected_calibration_err
 from omad.evaluation.confidence import fitting, views
 from omad.evaluation.confidence.fitting import Answers, fit, measured
 from omad.evaluation.confidence.views import HEAPS, OTHERS, examples
+from omad.model.checkpoint import find_weights
 
 VIEWS = 2000
 TO_TEST = FittedTo("tests", VIEWS, "0")
@@ -108,6 +111,7 @@ def test_front_and_surface_are_asked_for_where_they_tell_right_from_wrong(
     fitted: Confidence, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert fitted.image == WITHOUT_FRONT
+    monkeypatch.setattr(fitting, "DECAYS", fitting.DECAYS[1:2])  # a third of the fits
     monkeypatch.setattr(fitting, "fit_errors", lambda inputs, errors: fitted.errors)
     monkeypatch.setattr(fitting, "base_multiples", lambda *_: fitted.base)
     for telling, asked in (({"front": 1.0}, WITHOUT_SURFACE), ({"surface": 1.0}, IMAGE)):
@@ -138,6 +142,23 @@ def test_too_few_views_are_refused_before_any_is_made(monkeypatch: pytest.Monkey
     with pytest.raises(InputError, match="from 275 on"):  # enough only if all of them showed it
         TrainConfidence(category="microwave", views=274).run()
     fitting.check_views(275)
+
+
+@pytest.mark.parametrize(("left_out", "asked"), [("", IMAGE), ("surfaces.npz", WITHOUT_SURFACE)])
+def test_it_is_learned_from_surfaces_where_they_lie_beside(
+    left_out: str, asked: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen = list[tuple[str, ...]]()
+
+    def answered(estimator: omad.Estimator, *_: object) -> Answers:
+        seen.append(tuple(estimator.answers.asked))
+        raise InterruptedError
+
+    folder = shutil.copytree(find_weights("laptop"), tmp_path / "laptop", ignore=shutil.ignore_patterns(left_out))
+    monkeypatch.setattr(fitting, "answered", answered)
+    with pytest.raises(InterruptedError):
+        TrainConfidence(category="laptop", weights=folder, objects=1, views=275).run()
+    assert seen == [asked]
 
 
 def test_a_person_is_told_what_was_promised_and_what_was_measured(fitted: Confidence) -> None:
