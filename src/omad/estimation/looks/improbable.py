@@ -14,12 +14,10 @@ from ..estimate import Estimate, total_seconds
 IMPROBABLE = 0.7
 """Probability below which others are asked for."""
 CLEARLY = 1.0
-"""Log-odds by which another answer must be ahead to count; when any lead counted, as many answers became wrong as were
-righted ..."""
+"""Log-odds by which another answer must be ahead to count: when any lead counted, as many answers became wrong as were
+righted. It then loses them, as the most probable of several is right less often than it says."""
 UNSURER = 1.35
-"""... and how many times larger the errors that it expects of its keypoints may be."""
-KEPT = 0.5
-"""Share of its log-odds that the most probable of several keeps, so that it is right as often as it says."""
+"""How many times larger the errors that it expects of its keypoints may be."""
 TURNS = quarter_turns()[[1, 7, 4]].double().numpy()
 """(3, 4, 4): a quarter to either side, and half."""
 
@@ -44,4 +42,4 @@ def likelier(estimate: Estimate, others: Sequence[Estimate]) -> Estimate:
     seconds = total_seconds((estimate, *others))
     if log_odds <= logit(estimate.supposed_probability) + CLEARLY:
         return replace(estimate, seconds=seconds)
-    return replace(best, probability=float(expit(KEPT * log_odds)), seconds=seconds)
+    return replace(best, probability=float(expit(log_odds - CLEARLY)), seconds=seconds)
