@@ -41,7 +41,7 @@ SMALLEST = 1e-4
 """Added to errors before their logarithm is taken, category units or radians."""
 WORTH = {WITHOUT_SURFACE: 0.03, IMAGE: 0.08}
 """What more may be asked for, and by how much smaller the log loss of what is right has to be with it: the front takes
-a millisecond, the surface three."""
+one millisecond, the surface one or two."""
 WITHIN_ONE = 0.6827
 """Of normal errors, the share below one standard deviation."""
 FEWEST = 200

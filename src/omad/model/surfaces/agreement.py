@@ -91,7 +91,7 @@ class Overlay:
 
 def _camera_around(parts: Sequence[Mesh], observation: Observation, across: int) -> Camera:
     """One that sees surface and cloud, with pixels no finer than those of the image."""
-    before = [points[points[:, 2] > 0] for points in (observation.points, *(part.vertices for part in parts))]
+    before = map(_before, (observation.points, *(part.vertices for part in parts)))
     rays = np.concatenate([box(points[:, :2] / points[:, 2:]) for points in before if len(points)])
     if observation.camera is not None:
         return Camera.around(rays, across, observation.camera.fx)
@@ -99,11 +99,16 @@ def _camera_around(parts: Sequence[Mesh], observation: Observation, across: int)
     return Camera.around(rays, across, 0.5 * np.sqrt(len(observation.points) / area))
 
 
+def _before(points: np.ndarray) -> np.ndarray:
+    """Those before the camera, of points (N, 3)."""
+    return points if (points[:, 2] > 0).all() else points[points[:, 2] > 0]
+
+
 def _seen(observation: Observation, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
     """What ``camera`` would have measured (H, W), and whether it is the object."""
     depth, chosen, own = observation.depth, observation.mask, observation.camera
     if depth is None or chosen is None or own is None:
-        points = observation.points[observation.points[:, 2] > 0]
+        points = _before(observation.points)
         column, row = np.rint(camera.project(points)).astype(int).T
         cloud = np.full((camera.height, camera.width), np.inf, np.float32)
         np.minimum.at(cloud, (row, column), points[:, 2])
