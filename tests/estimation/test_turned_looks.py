@@ -16,7 +16,7 @@ from omad.data.source import load_views
 from omad.estimation import estimator as module
 from omad.estimation.estimate import Estimate
 from omad.estimation.estimator import Estimator, EstimatorConfig
-from omad.estimation.looks.improbable import is_improbable, likelier, turned_frames
+from omad.estimation.looks.improbable import LUCK, is_improbable, likelier, turned_frames
 from omad.evaluation.robustness.experiment import scenes_from
 from omad.evaluation.robustness.rows import ROWS
 
@@ -91,7 +91,7 @@ def test_the_most_probable_counts_where_it_is_clearly_ahead_and_not_much_less_su
 
     assert likelier(estimate, [other(0.7, 1.0)]).probability == 0.5
     chosen = likelier(estimate, [other(0.75, 1.0), other(0.9, 1.2), other(0.99, 2.0)])
-    assert chosen.probability == pytest.approx(expit(logit(0.9) - 1))
+    assert chosen.probability == pytest.approx(expit(logit(0.9) - LUCK))
     assert chosen.seconds == pytest.approx({key: 4 * value for key, value in estimate.seconds.items()})
     lost = replace(other(0.99, 1.0), keypoints=np.full_like(estimate.keypoints, np.nan))
     assert likelier(estimate, [lost]).probability == 0.5

@@ -66,7 +66,8 @@ class Walk:
 def copy(tmp_path_factory) -> Path:
     root = tmp_path_factory.mktemp("walks") / "omad"
     shutil.copytree(SOURCE, root, ignore=shutil.ignore_patterns("weights"))
-    (root / "model" / "weights").symlink_to(SOURCE / "model" / "weights")
+    for folder in SOURCE.glob("model/**/weights"):
+        (root / folder.relative_to(SOURCE)).symlink_to(folder)
     return root
 
 

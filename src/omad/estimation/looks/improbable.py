@@ -14,8 +14,10 @@ from ..estimate import Estimate, total_seconds
 IMPROBABLE = 0.7
 """Probability below which others are asked for."""
 CLEARLY = 1.0
-"""Log-odds by which another answer must be ahead to count: when any lead counted, as many answers became wrong as were
-righted. It then loses them, as the most probable of several is right less often than it says."""
+"""Log-odds by which another answer must be ahead to count; when any lead counted, as many answers became wrong as were
+righted ..."""
+LUCK = 0.8
+"""... and those that it loses then: the most probable of several is right less often than it says."""
 UNSURER = 1.35
 """How many times larger the errors that it expects of its keypoints may be."""
 TURNS = quarter_turns()[[1, 7, 4]].double().numpy()
@@ -42,4 +44,4 @@ def likelier(estimate: Estimate, others: Sequence[Estimate]) -> Estimate:
     seconds = total_seconds((estimate, *others))
     if log_odds <= logit(estimate.supposed_probability) + CLEARLY:
         return replace(estimate, seconds=seconds)
-    return replace(best, probability=float(expit(log_odds - CLEARLY)), seconds=seconds)
+    return replace(best, probability=float(expit(log_odds - LUCK)), seconds=seconds)
