@@ -21,7 +21,7 @@ from ..estimate import Estimate, PoseEstimate
 from .look import Look
 from .shown import Shown
 
-CURE = "run omad train surface, or omad train confidence anew"
+CURE = "run omad train confidence anew, or put surfaces.npz back"
 
 
 class Answers:
