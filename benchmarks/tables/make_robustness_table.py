@@ -6,8 +6,9 @@
     OMP_NUM_THREADS=1 python benchmarks/tables/make_robustness_table.py --to-surface [--models FOLDER]
 
 The table stands between ``<!-- robustness -->`` and ``<!-- end -->``, that of other people's models, a sub-folder of
-``--models`` for each category, between ``<!-- robustness-models -->`` and ``<!-- end -->``; with ``--to-surface``,
-``-surface`` follows either name. Answers are kept in ``--cache`` and made anew only where they are missing.
+``--models`` for each category, between ``<!-- robustness-models -->`` and ``<!-- end -->``. After either name follows
+``-seen`` where the table is of the joints whose part shows, and ``-surface`` with ``--to-surface``. Answers are kept in
+``--cache`` and made anew only where they are missing.
 """
 
 from __future__ import annotations
@@ -27,6 +28,8 @@ AMISS = (
     "cut-off-25", "steep", "below", "around", "together",
 )  # fmt: skip
 """Rows where much is amiss."""
+HIDING = ("hidden-25", "hidden-25-rim", "cut-off-25", "steep", "below", "around", "together")
+"""Rows where parts may hardly show."""
 PAGE = Path(__file__).parents[2] / "docs" / "robustness.md"
 
 
@@ -90,6 +93,17 @@ def table(answers: dict[str, dict[str, Any]]) -> list[str]:
     return [*lines, f"| all of them, and other categories' objects | {' | '.join(told)} |"]
 
 
+def seen_table(answers: dict[str, dict[str, Any]]) -> list[str]:
+    """A line a row, a column a category: mean error of the joints whose part shows, what it is of that of the same
+    joints when clean, and the share of the other joints."""
+    lines = [f"| row | {' | '.join(answers)} |", "|---" * (len(answers) + 1) + "|"]
+    for name in HIDING:
+        rows = (next(row for row in answer["rows"] if row["row"] == name)["seen"] for answer in answers.values())
+        cells = (f"{mean(seen)}, {seen['ratio']:.2f}; {100 * (1 - seen['share']):.0f} %" for seen in rows)
+        lines.append(f"| `{name}` | {' | '.join(cells)} |")
+    return lines
+
+
 def judged(answer: dict[str, Any]) -> str:
     """Calibration error and area under the ROC of the probability."""
     told = answer["probability"]
@@ -119,6 +133,7 @@ def main(config: Config) -> None:
         name, lines = f"{name}-surface", surface_table(both)
     else:
         lines = table(answers)
+        put(PAGE, f"{name}-seen", seen_table(answers), config.categories == FIVE)
     put(PAGE, name, lines, config.categories == FIVE)
 
 

@@ -221,7 +221,8 @@ def test_robustness_keeps_its_promise_on_models_and_on_rendered_scenes(capsys):
     found = answer(capsys, *few, "--objects", "2", "--pictures", "worst")
     assert [row["row"] for row in found["rows"]] == ["clean", "hidden-25", "around"]
     assert (found["category"], found["source"], found["views"], found["left_out"]) == ("laptop", "procedural", 2, [])
-    promised = {"row", "what", "views", "missing", "joint_state_error_deg", "joint_state_error", "ratio", "trusted"}
+    promised = {"row", "what", "views", "missing", "joint_state_error_deg", "joint_state_error", "ratio"}
+    promised |= {"trusted", "seen"}
     assert set(found["rows"][1]) == promised | {"covered_50", "covered_90", "flagged", "wrong", "silently_wrong"}
     assert found["others"]["views"] == 2
     assert set(found["probability"] or {}) <= {"answers", "right", "calibration_error", "area_under_roc"}

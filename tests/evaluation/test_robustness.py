@@ -1,5 +1,6 @@
 """The robustness table against closed forms and against ``omad eval pose`` on the same views."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,16 +15,27 @@ from omad.data.rendering.standard_views import standard_views
 from omad.data.source import ViewSource, load_views
 from omad.evaluation.evaluate import evaluate
 from omad.evaluation.metrics import missing_errors
-from omad.evaluation.robustness.experiment import Measured, draw_worst, judged, measure, others, scenes_from, table
+from omad.evaluation.robustness.experiment import (
+    Measured,
+    _measure,
+    draw_worst,
+    judged,
+    measure,
+    others,
+    scenes_from,
+    table,
+)
 from omad.evaluation.robustness.rows import CLEAN, ROWS
 
 FEW = {name: ROWS[name] for name in (CLEAN, "hidden-25", "wide-3-wall", "aside-4", "around")}
 
 
-def measured(index: int, states: list[float], std: float, flagged: bool = False, wrong: bool = False) -> Measured:
+def measured(
+    index: int, states: list[float], std: float, flagged: bool = False, wrong: bool = False, seen: Sequence[bool] = ()
+) -> Measured:
     errors = replace(missing_errors(LAPTOP), joint_state=np.array(states), missing=False)
     half = std * np.outer([0.6745, 1.645], np.ones(len(states)))
-    return Measured(index, errors, half, flagged, wrong)
+    return Measured(index, errors, half, flagged, wrong, np.array(seen or [True] * len(states)))
 
 
 def test_the_table_counts_as_it_says() -> None:
@@ -59,12 +71,24 @@ def test_the_ratio_is_of_views_that_are_there_when_clean() -> None:
 
 
 def test_lengths_are_metres_and_missing_answers_are_the_worst() -> None:
-    missing = Measured(0, missing_errors(DRAWER), np.full((2, 3), np.nan), True, True)
+    missing = Measured(0, missing_errors(DRAWER), np.full((2, 3), np.nan), True, True, np.zeros(3, bool))
     [row] = table({CLEAN: [missing]}, ROWS, DRAWER)
     assert row["joint_state_error_deg"] is None
     assert row["joint_state_error"]["mean"] == pytest.approx(DRAWER.metres_per_unit)
     assert (row["missing"], row["covered_90"], row["flagged"]) == (1, 0.0, 1.0)
-    assert row["trusted"] == {"joint_state_error_deg": None, "joint_state_error": None, "ratio": None}
+    nothing = {"joint_state_error_deg": None, "joint_state_error": None, "ratio": None}
+    assert (row["trusted"], row["seen"]) == (nothing, nothing | {"share": 0.0})
+
+
+def test_joints_whose_part_shows_stand_alone() -> None:
+    """Of three drawers and their clean views: the ratio is of the same joints."""
+    clean = measured(0, [0.01, 0.02, 0.03], 0.1)
+    hidden = measured(0, [0.02, 0.02, 0.3], 0.1, seen=[True, True, False])
+    _, row = table({CLEAN: [clean], "hidden-25": [hidden]}, ROWS, DRAWER)
+    assert row["ratio"] == pytest.approx(34 / 6)
+    assert row["seen"]["ratio"] == pytest.approx(4 / 3)
+    assert row["seen"]["share"] == pytest.approx(2 / 3)
+    assert row["seen"]["joint_state_error"] == pytest.approx({"mean": 0.02, "median": 0.02, "p90": 0.02})
 
 
 def test_probabilities_are_judged_where_there_are_any() -> None:
@@ -82,6 +106,12 @@ def estimator() -> omad.Estimator:
 @pytest.fixture(scope="module")
 def source() -> ViewSource:
     return load_views("procedural", LAPTOP, 2, 3, 0, "off", "refuse")
+
+
+def test_a_part_shows_by_its_pixels_in_the_mask(estimator, source) -> None:
+    view = next(iter(source.views))
+    lidless = replace(view, mask=view.labels == 0)
+    assert [each.seen.tolist() for each in _measure(estimator, [view, lidless], to_surface=False)] == [[True], [False]]
 
 
 def test_clean_views_are_those_of_eval_pose_and_rows_do_not_depend_on_each_other(estimator, source) -> None:

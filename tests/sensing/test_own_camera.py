@@ -20,7 +20,9 @@ from helpers.pages import blocks
 from helpers.tabletop import cloud_of, laptop_view, on_a_table
 from omad.cli.main import run
 from omad.common.errors import InputError
+from omad.data.procedural import generate
 from omad.data.rendering.depth_noise import LEVELS, add_noise
+from omad.data.rendering.standard_views import standard_view
 from omad.estimation.categories.ranking import rank, suspected
 from omad.estimation.checks import doubts, size_doubts
 from omad.estimation.estimate import Estimate
@@ -210,6 +212,21 @@ def test_few_points_a_bad_fit_and_an_unsure_network_are_named():
         assert all(check.to_dict().values())
 
 
+def test_a_door_that_is_not_seen_is_named():
+    """As where a hand or the border hides it: how far it is open is then a guess."""
+    estimator, model = shared_estimator("dishwasher"), generate(get_category("dishwasher"), 1, "test")
+    view = standard_view(model, estimator.category, (0, 1))
+    seen, hidden = view.observation(), replace(view, mask=view.labels == 0).observation()
+    for observation, named in ((seen, []), (hidden, ["part"])):
+        estimate = estimator(observation)
+        found = [check for check in doubts(observation, estimate) if check.name == "part"]
+        assert [check.name for check in found] == named
+        assert [text for text in estimate.warnings if text.startswith("part")] == [str(check) for check in found]
+        assert not [check for check in doubts(observation, estimate.without_labels()) if check.name == "part"]
+    assert "door" in found[0].what
+    assert estimate.joints[0].state_std > 0.1
+
+
 # which category
 
 
@@ -321,5 +338,5 @@ def test_the_pages_python_runs(frame, capsys):
 
 def test_the_page_knows_every_check():
     told = PAGE.read_text()
-    for name in ("size", "depth", "points", "frame", "convergence", "residual", "network", "hand", "category"):
+    for name in ("size", "depth", "points", "frame", "convergence", "residual", "network", "part", "hand", "category"):
         assert f"`{name}`" in told

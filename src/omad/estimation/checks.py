@@ -59,6 +59,9 @@ SURE_OF_HAND = 0.75
 """Of views whose hand is told less surely, one in three is taken for its mirror image; of all others one in fifty."""
 SURROUNDED = 0.1
 """Share of the image from which on what is seen beside the object tells of the camera."""
+HARDLY_SEEN = 0.02
+"""Share of the object's points below which a part hardly shows. In views that hide a quarter or cut it off, one part in
+ten does, and its joint state is five to ten times as far off as the others."""
 CUT_OFF = 0.1
 """Pixels at one border of the image from which on the object runs out of it, as a share of its width in pixels."""
 
@@ -98,6 +101,7 @@ def doubts(observation: Observation, estimate: Estimate, depth_scale: float | No
         *_view_doubts(observation),
         *_fit_doubts(estimate),
         *network_doubts(estimate.keypoint_std, category),
+        *part_doubts(estimate.labelled.shares, category),
         *hand_doubts(estimate.hand_probability),
         *_surface_doubts(observation, estimate),
     ]
@@ -323,6 +327,20 @@ def network_doubts(keypoint_std: np.ndarray, category: Category) -> Iterator[Che
             "this view may not show which side is the front, or the object is of another category or badly cut out",
             "try another viewpoint, a better mask, or --gravity where the object stands upright",
         )
+
+
+def part_doubts(shares: np.ndarray, category: Category) -> Iterator[Check]:
+    """Where hardly anything of a moving part is seen: ``shares`` (K,) of the points that are on each part."""
+    if not shares.any():
+        return
+    for joint, part, share in zip(category.joints, category.parts[1:], shares[1:], strict=True):
+        if share < HARDLY_SEEN:
+            yield Check(
+                "part",
+                f"hardly anything of {part.name} is seen ({share:.1%} of the object's points)",
+                "it is hidden, cut off, on the far side, or left out of the mask",
+                f"take the state of {joint.name} for a guess, or look from where {part.name} shows",
+            )
 
 
 def hand_doubts(probability: float | None) -> Iterator[Check]:

@@ -29,6 +29,12 @@ class LabelledPoints:
         """Of no observation."""
         return cls(np.zeros((0, 3), np.float32), np.zeros(0, int), np.zeros((0, 1)), 1)
 
+    @property
+    def shares(self) -> np.ndarray:
+        """(K,) of the points on the object that the network saw, those on each part; zeros where there are none."""
+        counts = np.bincount(self.logits.argmax(-1), minlength=self.parts)[: self.parts]
+        return counts / max(counts.sum(), 1)
+
     @cached_property
     def labels(self) -> np.ndarray:
         """(N,) part of every point: that of the nearest point that the network saw; ``OUTSIDE`` for those that are not

@@ -82,7 +82,7 @@ class EvalRobustness(CategoryCommand):
 
 def robustness_text(answer: dict[str, Any]) -> str:
     """A line a spoil: mean, median and 90th percentile of the joint states' errors, and shares."""
-    errors, told = ["joint state", "ratio", "trusted"], ["in 50 %", "in 90 % interval", "flagged", "wrong"]
+    errors, told = ["joint state", "ratio", "trusted", "seen"], ["in 50 %", "in 90 % interval", "flagged", "wrong"]
     columns = [*errors, *told, "silently wrong", "what"]
     lines = [["", *columns]]
     for row in answer["rows"]:
@@ -91,8 +91,9 @@ def robustness_text(answer: dict[str, Any]) -> str:
         states += [spread(length, 1, " m")] if length else []
         keys = ("covered_50", "covered_90", "flagged", "wrong", "silently_wrong")
         shares = [f"{row[key]:.0%}" for key in keys]
-        ratios = ["-" if ratio is None else f"{ratio:.2f}" for ratio in (row["ratio"], row["trusted"]["ratio"])]
-        lines.append([row["row"], ", ".join(states), *ratios, *shares, row["what"]])
+        ratios = [of["ratio"] for of in (row, row["trusted"], row["seen"])]
+        told_ratios = ["-" if ratio is None else f"{ratio:.2f}" for ratio in ratios]
+        lines.append([row["row"], ", ".join(states), *told_ratios, *shares, row["what"]])
     head = f"{answer['category']}, {answer['source']}: {answer['views']} views a row, mean / median / 90th percentile"
     left_out = [f"left out, as there are no such views: {', '.join(answer['left_out'])}"] if answer["left_out"] else []
     others, told = answer["others"], answer["probability"]

@@ -14,7 +14,7 @@ from omad.model.prior import OmadPrior
 from omad.model.surfaces.surfaces import Surfaces
 from omad.objects.category import Category
 
-from ..checks import network_doubts, size_doubts
+from ..checks import network_doubts, part_doubts, size_doubts
 from ..confidence.model import SHARED, Confidence
 from ..confidence.signals import IMAGE, WITHOUT_FRONT, Meter, Signals
 from ..estimate import Estimate, PoseEstimate
@@ -67,7 +67,12 @@ class Answers:
         estimates = []
         # copies of what is large: who keeps one answer keeps nothing of all others
         for b, observation in enumerate(shown.observations):
-            doubts = [*size_doubts(observation, category), *network_doubts(keypoint_std[b], category)]
+            labelled = shown.labelled(b, logits[b].copy())
+            doubts = [
+                *size_doubts(observation, category),
+                *network_doubts(keypoint_std[b], category),
+                *part_doubts(labelled.shares, category),
+            ]
             estimates.append(
                 Estimate(
                     **vars(final[b]),
@@ -78,7 +83,7 @@ class Answers:
                     base_std=base_std[b].copy(),
                     converged=converged[b],
                     residual=residual[b],
-                    labelled=shown.labelled(b, logits[b].copy()),
+                    labelled=labelled,
                     initial=initial[b],
                     signals=own_signals[b],
                     probability=probability[b],

@@ -10,12 +10,13 @@ import numpy as np
 from omad.common.batches import batched, progress
 from omad.common.errors import InputError
 from omad.data.procedural import GENERATORS, generate
+from omad.data.rendering.rasteriser import NOTHING
 from omad.data.rendering.spoils.scenes import Scene, draw_scene, scene_of
 from omad.data.rendering.spoils.spoil import Spoil, Staging
 from omad.data.rendering.spoils.spoiling import spoilt, within_range
 from omad.data.rendering.standard_views import View, observe_all, standard_view, true_pose, view_seed
 from omad.data.source import ViewSource
-from omad.estimation.checks import doubts, is_doubtful
+from omad.estimation.checks import HARDLY_SEEN, doubts, is_doubtful
 from omad.estimation.estimate import Estimate
 from omad.estimation.estimator import Estimator
 from omad.objects.category import Category
@@ -49,6 +50,8 @@ class Measured:
     """The answer is called doubtful, or there is none."""
     wrong: bool
     """A joint is off by more than 10 degrees, or 10 % of the object's diagonal."""
+    seen: np.ndarray
+    """(J,) bool: of the part that the joint moves more than hardly anything shows."""
     probability: float = np.nan
     """That it is not; NaN where there is no answer, or no probability."""
 
@@ -104,13 +107,21 @@ def _measure(estimator: Estimator, views: list[View], to_surface: bool) -> Itera
     for number, view in enumerate(views):
         if number not in estimates:
             nothing = np.full((len(LEVELS), len(category.joints)), np.nan)
-            yield Measured(number, missing_errors(category), nothing, flagged=True, wrong=True)
+            yield Measured(number, missing_errors(category), nothing, flagged=True, wrong=True, seen=_seen(view))
             continue
         estimate = estimates[number]
         errors = pose_errors(estimate.pose(), true_pose(view, category), view.truth.part_boxes, category)
         half = np.ptp([[joint.interval(level / 100) for joint in estimate.joints] for level in LEVELS], axis=2) / 2
         wrong = not errors.right(category, view.truth.diagonal)
-        yield Measured(number, errors, half, _flagged(observed[number], estimate), wrong, _probability(estimate))
+        told = _flagged(observed[number], estimate), wrong, _seen(view), _probability(estimate)
+        yield Measured(number, errors, half, *told)
+
+
+def _seen(view: View) -> np.ndarray:
+    """``Measured.seen``."""
+    labels = view.labels if view.mask is None else view.labels[view.mask.astype(bool)]
+    counts = np.bincount(labels[labels != NOTHING], minlength=len(view.truth.part_boxes))
+    return counts[1:] >= HARDLY_SEEN * max(counts.sum(), 1)
 
 
 def _flagged(observation: Observation, estimate: Estimate) -> bool:
@@ -130,7 +141,7 @@ def others(estimator: Estimator, total: int, seed: int) -> list[Measured]:
         for number, observation in observe_all(view for view in some if view is not None).items():
             estimate = estimator(observation)
             nothing = np.full((len(LEVELS), len(category.joints)), np.nan)
-            told = _flagged(observation, estimate), True, _probability(estimate)
+            told = _flagged(observation, estimate), True, nothing[0] < 0, _probability(estimate)
             found.append(Measured(number, missing_errors(category), nothing, *told))
     return found
 
@@ -158,7 +169,8 @@ def judged(measured: Sequence[Measured]) -> dict[str, Any] | None:
 def table(found: Mapping[str, list[Measured]], rows: Mapping[str, Row], category: Category) -> list[dict[str, Any]]:
     """The rows of the table as plain values: errors of all joints together (degrees where a key says so, else metres),
     shares of views, and of joints the shares whose truth lies in the 50 % and the 90 % interval. ``ratio``: the mean
-    error to that of the same views when clean; ``trusted``: errors and ratio of the answers that are not flagged."""
+    error to that of the same joints of the same views when clean; ``trusted``: errors and ratio of the answers that are
+    not flagged; ``seen``: those of the joints of whose part more than hardly anything shows, and their share."""
     clean = {each.index: _relative(each.errors, category) for each in found[CLEAN]}
     made = []
     for name, measured in found.items():
@@ -167,6 +179,7 @@ def table(found: Mapping[str, list[Measured]], rows: Mapping[str, Row], category
         states = np.stack([each.errors.joint_state for each in measured])
         half = np.stack([each.half_widths for each in measured], 1)
         covered = (states <= half).mean((1, 2)).tolist()
+        seen = np.stack([each.seen for each in measured])
         flagged, wrong = (np.array([getattr(each, key) for each in measured]) for key in ("flagged", "wrong"))
         made.append(
             {
@@ -176,6 +189,7 @@ def table(found: Mapping[str, list[Measured]], rows: Mapping[str, Row], category
                 "missing": sum(each.errors.missing for each in measured),
                 **_errors(measured, clean, category),
                 "trusted": _errors([each for each in measured if not each.flagged], clean, category),
+                "seen": {"share": float(seen.mean()), **_errors(measured, clean, category, seen)},
                 **{f"covered_{level}": share for level, share in zip(LEVELS, covered, strict=True)},
                 "flagged": float(flagged.mean()),
                 "wrong": float(wrong.mean()),
@@ -199,7 +213,7 @@ def draw_worst(
         answered = [each for each in measured if not each.errors.missing]
         if not answered:
             continue
-        worst = max(answered, key=lambda each: _relative(each.errors, category))
+        worst = max(answered, key=lambda each: _relative(each.errors, category).mean())
         view = _view(scenes, worst.index, rows[name].spoil)
         seen = view.observation()
         answer = estimator(seen)
@@ -218,26 +232,33 @@ def _view(scenes: Scenes, index: int, spoil: Spoil) -> View:
     return spoilt(scene, spoil).view
 
 
-def _relative(errors: PoseErrors, category: Category) -> float:
-    """Joint state error as a share of what a missing answer counts, mean over joints."""
-    return float((errors.joint_state / missing_errors(category).joint_state).mean())
+def _relative(errors: PoseErrors, category: Category) -> np.ndarray:
+    """(J,) joint state errors as shares of what a missing answer counts."""
+    return errors.joint_state / missing_errors(category).joint_state
 
 
-def _errors(measured: Sequence[Measured], clean: Mapping[int, float], category: Category) -> dict[str, Any]:
-    """Of all joints together, and the ``ratio`` to the errors of the same views when ``clean``, where these are there;
-    None where there is nothing."""
-    turning = np.array(category.turning)
-    states = np.array([each.errors.joint_state for each in measured]).reshape(-1, len(turning))
-    both = [(_relative(each.errors, category), clean[each.index]) for each in measured if each.index in clean]
+def _errors(
+    measured: Sequence[Measured], clean: Mapping[int, np.ndarray], category: Category, which: np.ndarray | None = None
+) -> dict[str, Any]:
+    """Of all joints together, or ``which`` of them (views, J), and the ``ratio`` to the errors of the same joints when
+    ``clean``, where these are there; None where there is nothing."""
+    turning, shape = np.array(category.turning), (len(measured), len(category.joints))
+    which = np.ones(shape, bool) if which is None else which
+    states = np.array([each.errors.joint_state for each in measured]).reshape(shape)
+    pairs = [
+        (_relative(each.errors, category)[joints].sum(), clean[each.index][joints].sum())
+        for each, joints in zip(measured, which, strict=True)
+        if each.index in clean and joints.any()
+    ]
     return {
-        "joint_state_error_deg": _spread(np.degrees(states[:, turning])),
-        "joint_state_error": _spread(states[:, ~turning]),
-        "ratio": sum(one for one, _ in both) / sum(other for _, other in both) if both else None,
+        "joint_state_error_deg": _spread(np.degrees(states[which & turning])),
+        "joint_state_error": _spread(states[which & ~turning]),
+        "ratio": float(np.divide(*np.sum(pairs, axis=0))) if pairs else None,
     }
 
 
 def _spread(errors: np.ndarray) -> dict[str, float] | None:
-    """Of errors (views, joints); None where no joint is of this kind."""
+    """Of errors (N,); None where there are none."""
     if not errors.size:
         return None
     return {"mean": float(errors.mean()), "median": float(np.median(errors)), "p90": float(np.quantile(errors, 0.9))}
