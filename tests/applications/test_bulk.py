@@ -360,6 +360,19 @@ def test_two_runs_do_not_write_the_same_results(tmp_path):
     assert [json.loads(line)["name"] for line in path.read_text().splitlines()] == list("abc")
 
 
+def test_a_run_that_is_refused_leaves_the_settings_of_the_one_that_writes(tmp_path):
+    path, outcomes = tmp_path / "results.jsonl", [stream.Outcome(name, None, "it was dark") for name in "abc"]
+    first, second = Results.open(path, {"of": "this"}), Results.open(path, {"of": "that"})  # neither has rows yet
+    rows = iter(first.add(outcomes))
+    next(rows)
+    with pytest.raises(InputError, match="another run is writing"):
+        list(second.add(outcomes))
+    rows.close()
+    with pytest.raises(InputError, match="other inputs or settings"):
+        Results.open(path, {"of": "that"})
+    assert Results.open(path, {"of": "this"}).done == 1
+
+
 @pytest.mark.parametrize("suffix", [".jsonl", ".parquet"])
 def test_results_go_on_where_they_stopped(tmp_path, suffix):
     if suffix == ".parquet":

@@ -137,6 +137,17 @@ def test_catalogues_are_merged_once(tmp_path, small_parts):
         into.merge(ShapeIndex(other), "foreign")
 
 
+def test_a_catalogue_that_was_built_anew_is_not_merged_on(tmp_path):
+    into = LargeIndex.create(tmp_path / "all", SPACE)
+    into.merge(exact(30), "numbers")
+    anew = ShapeIndex(SPACE)
+    anew.add_betas(betas(50)[::-1], entries(0, 50))
+    with pytest.raises(InputError, match="numbers: its first 30 inputs are not those that are in"):
+        into.merge(anew, "numbers")
+    into.merge(exact(50), "numbers")
+    assert len(LargeIndex.open(tmp_path / "all")) == 50
+
+
 def test_what_another_handle_merged_is_not_merged_again(tmp_path):
     one, two = (open_(tmp_path / "all", SPACE) for open_ in (LargeIndex.create, LargeIndex.create))
     for each in (one, two):

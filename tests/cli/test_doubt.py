@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 
 from helpers.chair import chair_view
-from helpers.command_line import LAPTOP, K, answer, refused, save_png
+from helpers.command_line import LAPTOP, K, answer, laptop_view, refused, save_png
 from helpers.confidences import always
 from helpers.installed import installed
 from omad.cli.main import run
@@ -21,6 +21,7 @@ from omad.model.checkpoint import find_weights, load, save
 from omad.model.omadnet import OmadNet
 from omad.objects.category_file import get_category
 from omad.output.formats import FORMATS, NEED
+from omad.sensing.observation import Observation
 
 
 @pytest.fixture(autouse=True)
@@ -153,6 +154,21 @@ def test_detect_names_a_wrong_depth_scale(capsys):
     assert answer(capsys, "detect", "wall.png", *K, "--categories", "laptop")["support_plane"] is not None
     assert run(["detect", "wall.png", *K, "--categories", "laptop"]) == 0
     assert "Nothing stands before table, floor and walls" in capsys.readouterr().out
+
+
+def test_the_object_of_a_whole_cloud_is_found_as_that_of_a_whole_image_is(capsys):
+    scene = draw_tabletop(("laptop",), (2, 5))
+    true = np.concatenate([one.states for one in scene.objects if one.category == "laptop"])
+    np.save("scene.npy", Observation.from_depth(scene.depth, scene.camera).points)
+    for options in ([save_png("table.png", scene.depth), *K], ["scene.npy"]):
+        found = answer(capsys, "estimate", *options, *LAPTOP)
+        assert np.abs(found["joints"][0]["state"] - true).min() < np.radians(5)
+        assert any("omad detect gives them all" in warning for warning in found["warnings"])
+        assert sum(part["points"] for part in found["parts"]) < 0.2 * np.count_nonzero(scene.depth)
+    laptop = Observation.from_depth(laptop_view().depth, laptop_view().camera)
+    np.save("laptop.npy", laptop.points)
+    alone = answer(capsys, "estimate", "laptop.npy", *LAPTOP)
+    assert sum(part["points"] for part in alone["parts"]) > 0.95 * len(laptop.points)
 
 
 def test_an_id_without_a_mask_is_refused(capsys):

@@ -96,6 +96,18 @@ def test_the_bank_must_be_of_the_weights_prior_and_models_want_that_in_their_fol
     assert "prior: is missing; copy there the folder that omad train prior wrote" in said
 
 
+def test_an_export_leaves_nothing_of_one_that_it_replaces(tmp_path, capsys):
+    """Here a prior, confidence and bank."""
+    bare, output = tmp_path / "bare", tmp_path / "exported"
+    bare.mkdir()
+    for name in ("config.json", "model.safetensors"):
+        shutil.copy(find_weights("microwave") / name, bare / name)
+    for options in (LAPTOP, ["--category", "microwave", "--weights", str(bare)]):
+        found = answer(capsys, "export", *options, "--output", str(output))
+        assert {path.relative_to(output).as_posix() for path in output.rglob("*.*")} == set(found["files"])
+    assert set(found["files"]) == {"config.json", "model.safetensors", "prior.npz", "manifest.json"}
+
+
 def test_weights_are_not_exported_onto_themselves(weights, capsys):
     (weights / FILE).write_bytes(b"its bank")
     said = refused(capsys, "export", *LAPTOP, "--weights", str(weights), "--output", f"{weights}/../weights")

@@ -66,6 +66,8 @@ def test_a_wrong_gravity_is_doubtful_and_a_right_one_is_not(images, capsys):
 
 
 def test_what_does_not_go_together_is_refused(images, capsys):
+    compared = refused(capsys, "estimate", *images, "--together", "a.txt", "b.txt", "--compare")
+    assert "--compare: is for single views" in compared
     assert "1 poses for 2 different inputs" in refused(capsys, "estimate", *images, "--together", "a.txt")
     both = refused(capsys, "estimate", *images, "--together", "a.txt", "b.txt", "--world", "a.txt")
     assert "leave out --world" in both

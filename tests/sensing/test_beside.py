@@ -70,6 +70,11 @@ def test_a_camera_beside_an_image_is_read(capsys):
     save_png("depth.png")
     assert "camera.json" in refused(capsys, "estimate", "depth.png", *LAPTOP)
     told = {"width": 640, "height": 480, "fx": 600, "fy": 600, "ppx": 319.5, "ppy": 239.5, "depth_scale": 1000.0}
+    matrix = laptop_view().camera.K.tolist()
+    Path("camera.json").write_text(json.dumps(matrix))
+    beside = Beside.of(Path("depth.png")).camera
+    assert beside is not None
+    assert beside.K.tolist() == matrix
     Path("camera.json").write_text(json.dumps(told))
     assert Beside.of(Path("depth.png")).depth_scale == pytest.approx(0.001)
     found = answer(capsys, "estimate", "depth.png", *LAPTOP)

@@ -101,6 +101,8 @@ class EstimateCommand(CategoryCommand):
             raise InputError("--category auto: does not go with --together; leave that out, or name a category")
         if self.to_surface and self.together:
             raise InputError("--to-surface: each of several views would go its own way; leave it or --together out")
+        if self.compare and self.together:
+            raise InputError("--compare: is for single views; leave it or --together out")
         own = None if auto and self.weights is None else self.estimator(self.fast)
         chosen = None if auto else own
         check_formats(self.formats, chosen and chosen.category)

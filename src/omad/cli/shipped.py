@@ -9,7 +9,7 @@ from typing import Any
 
 import omad
 from omad.common.errors import InputError
-from omad.common.files import check_folder, write_atomic
+from omad.common.files import check_folder, replacing, write_atomic
 from omad.common.lazy import lazy_imports
 from omad.objects.builtin import builtin_names
 
@@ -101,17 +101,15 @@ class Export:
         plain = {name: tensor.detach().numpy() for name, tensor in arrays.items()}
         write_atomic(self.output / "prior.npz", lambda path: savez(path, allow_pickle=False, **plain))
         files = ["config.json", "model.safetensors", "prior.npz"]
-        if is_checkpoint(source / "prior"):
-            save(load(PriorNet, source / "prior"), self.output / "prior", {"exported_from": source.name})
-            files += ["prior/config.json", "prior/model.safetensors"]
-        for optional in (confidences.FILE, bank.FILE):  # of another checkpoint
-            (self.output / optional).unlink(missing_ok=True)
-        if confidence := Confidence.load(source, net.category):
-            confidence.save(self.output)
-            files.append(confidences.FILE)
-        if (beside := bank.bank_beside(source)) is not None:
-            write_atomic(self.output / bank.FILE, lambda path: path.write_bytes(beside.read_bytes()))
-            files.append(bank.FILE)
+        further = ["prior/config.json", "prior/model.safetensors", confidences.FILE, bank.FILE]
+        with replacing([self.output / name for name in further]):  # which another checkpoint may have left
+            if is_checkpoint(source / "prior"):
+                save(load(PriorNet, source / "prior"), self.output / "prior", {"exported_from": source.name})
+            if confidence := Confidence.load(source, net.category):
+                confidence.save(self.output)
+            if (beside := bank.bank_beside(source)) is not None:
+                write_atomic(self.output / bank.FILE, lambda path: path.write_bytes(beside.read_bytes()))
+        files += [name for name in further if (self.output / name).exists()]
         write_manifest(self.output)
         return Answer({"folder": str(self.output), "files": [*files, "manifest.json"]})
 

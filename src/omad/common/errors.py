@@ -15,7 +15,7 @@ class InputError(ValueError):
     """Bad input. The message is one line that names the file or field and the cure; the command line exits with 2."""
 
     def __init__(self, message: str) -> None:
-        super().__init__(as_line(message if len(message) <= LONGEST else f"{message[:LONGEST]}..."))
+        super().__init__(_shortened(message))
 
 
 class NothingSeen(InputError):
@@ -26,7 +26,11 @@ class WorkError(RuntimeError):
     """The input was in order and the work failed. One line; the command line exits with 1."""
 
     def __init__(self, message: str) -> None:
-        super().__init__(as_line(message if len(message) <= LONGEST else f"{message[:LONGEST]}..."))
+        super().__init__(_shortened(message))
+
+
+def _shortened(message: str) -> str:
+    return as_line(message if len(message) <= LONGEST else f"{message[:LONGEST]}...")
 
 
 def as_line(text: str) -> str:

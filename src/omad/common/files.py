@@ -106,10 +106,9 @@ def _sweep(folder: str) -> None:
     with suppress(OSError), os.scandir(folder) as entries:
         for entry in entries:
             if entry.name.startswith(TEMPORARY) and entry.is_file(follow_symlinks=False):
-                handle = os.open(entry.path, os.O_RDWR)
-                if try_lock(handle):  # surely nobody's; where there are no locks, it stays
-                    os.unlink(entry.path)
-                os.close(handle)
+                with suppress(OSError), open(entry.path, "r+b") as file:  # another process may take it away
+                    if try_lock(file.fileno()):  # surely nobody's; where there are no locks, it stays
+                        os.unlink(entry.path)
 
 
 @contextmanager

@@ -132,13 +132,18 @@ def no_surer(estimate: Estimate, probability: float) -> Estimate:
     return replace(estimate, probability=probability)
 
 
+def usual_size(category: Category) -> float:
+    """Metres, diagonal of a cloud of it."""
+    return USUAL_SIZE * category.metres_per_unit
+
+
 def size_doubts(observation: Observation, category: Category, depth_scale: float | None = None) -> Iterator[Check]:
     """Where the cloud cannot be an object of the category at its size: a wrong depth scale, mostly."""
     points = observation.points
     few = points[:: -(-len(points) // SAMPLED) or 1]
     ends = box(points), np.quantile(few, (STRAY, 1 - STRAY), axis=0)
     size, without_strays = (float(np.linalg.norm(high - low)) for low, high in ends)
-    usual = USUAL_SIZE * category.metres_per_unit
+    usual = usual_size(category)
     if any(usual / ODD_SIZE < each < ODD_SIZE * usual for each in (size, without_strays)):
         return
     what = f"the cloud is {size:.3g} m across, of a {category.name} about {usual:.2g} m is usual"

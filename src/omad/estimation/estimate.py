@@ -140,7 +140,8 @@ class Estimate(PoseEstimate):
     """That no joint state is off by more than 10 degrees, or 10 % of the object's diagonal; None where the checkpoint
     holds no ``confidence.json``."""
     seconds: dict[str, float] = field(default_factory=dict)
-    """How long each step took: ``network``, ``refinement``."""
+    """How long each step took: ``network``, ``refinement``; ``surface`` where it went on towards its surface, and on
+    the command line and over HTTP ``read``."""
     warnings: tuple[str, ...] = ()
     """What a person should know before trusting it."""
     joints_alone: tuple[JointEstimate, ...] = ()

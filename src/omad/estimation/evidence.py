@@ -68,7 +68,7 @@ def measure_evidence(observation: Observation, estimate: Estimate, prior: OmadPr
 
 def explanation(observation: Observation, estimate: Estimate) -> Agreement:
     """What of the observation the estimate's surface explains, as keypoints alone tell it."""
-    if not np.isfinite(estimate.keypoints).all():
+    if not estimate.is_finite:
         return NOWHERE
     return Agreement.of(estimate.carried_model().posed(estimate.joint_states, estimate.T_camera_base), observation)
 
@@ -76,9 +76,8 @@ def explanation(observation: Observation, estimate: Estimate) -> Agreement:
 def _visible(estimate: Estimate, points: np.ndarray) -> np.ndarray:
     """(N, 3) points of the estimated object's visible surface, in the camera frame."""
     around = np.concatenate([points, estimate.keypoints])
-    found = bool(np.isfinite(estimate.keypoints).all())  # not where a network is shown what is far beyond its size
     around = around[around[:, 2] > 0]
-    if not found or not len(around):
+    if not estimate.is_finite or not len(around):  # where a network is shown what is far beyond its size
         return np.zeros((0, 3))
     camera = Camera.around(around[:, :2] / around[:, 2:], PIXELS)
     depth = render(estimate.hull_model(), estimate.joint_states, estimate.T_camera_base, camera).depth

@@ -1,6 +1,6 @@
 """``omad eval pose --cluster``: views in shards, and one summary of all of them."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields
 from functools import cache
 from itertools import islice
@@ -10,9 +10,13 @@ from typing import Any
 import numpy as np
 
 from omad.common.batches import batched
+from omad.data.rendering.depth_noise import LEVELS
+from omad.data.rendering.standard_views import View, standard_views
 from omad.data.shards.parquet import import_pyarrow
-from omad.data.source import Broken, load_views
+from omad.data.source import Broken, kind_of, load_models, load_views
 from omad.estimation.estimator import Estimator, EstimatorConfig
+from omad.objects.category import Category
+from omad.objects.model import ObjectModel
 
 from .evaluate import BATCH, Measured, measure
 from .metrics import PoseErrors
@@ -39,10 +43,15 @@ class PoseWork:
     def __call__(self, start: int, stop: int) -> list[dict[str, Any]]:
         """Rows of the views from ``start`` to before ``stop``."""
         estimator = _loaded(self)
-        drawn = (self.objects, self.views, self.seed, self.noise)
-        source = load_views(self.source, estimator.category, *drawn, self.broken, start)
-        some = batched(islice(source.views, stop - start), BATCH)
+        some = batched(islice(self._views(estimator.category, start), stop - start), BATCH)
         return [_row(result.measured) for views in some for result in measure(estimator, views, self.to_surface)]
+
+    def _views(self, category: Category, start: int) -> Iterable[View]:
+        """As of ``load_views``, from ``start`` on; models are made once for all shards."""
+        if kind_of(self.source).images is None:
+            return standard_views(_models(self), category, self.views, self.seed, LEVELS[self.noise], start)
+        drawn = (self.objects, self.views, self.seed, self.noise)
+        return load_views(self.source, category, *drawn, self.broken, start).views
 
     def schema(self) -> Any:
         """pyarrow.Schema of the rows."""
@@ -71,6 +80,13 @@ def from_rows(rows: Iterable[dict[str, Any]]) -> Iterator[Measured]:
 def _loaded(work: PoseWork) -> Estimator:
     """Once a process."""
     return Estimator.from_pretrained(work.weights, work.device, EstimatorConfig.fast() if work.fast else None)
+
+
+@cache
+def _models(work: PoseWork) -> Sequence[ObjectModel]:
+    """Once a process."""
+    category = _loaded(work).category
+    return load_models(work.source, category, min(work.objects, work.views), "test", work.seed).models
 
 
 def _row(one: Measured) -> dict[str, Any]:

@@ -20,6 +20,7 @@ from omad.geometry.occupancy import occupancy
 from omad.geometry.rigid import box
 from omad.objects.model import ObjectModel
 
+BATCH = 32
 NEAR = 0.05
 """Category units: the F-score counts points this near to the other surface."""
 SAMPLES = 5000
@@ -96,11 +97,11 @@ def shape_errors(parts: Sequence[Mesh], truth: Sequence[Mesh], unit: float) -> S
 
 
 def evaluate_shapes(
-    estimator: Estimator, views: Iterable[View], models: Sequence[ObjectModel], total: int, batch: int = 32
+    estimator: Estimator, views: Iterable[View], models: Sequence[ObjectModel], total: int
 ) -> list[ShapeResult]:
     """Estimate every view and compare its surfaces with those of the object that was rendered."""
     results = []
-    for some in batched(progress(views, total), batch):
+    for some in batched(progress(views, total), BATCH):
         observed = observe_all(some)
         estimates = dict(zip(observed, estimator(list(observed.values())), strict=True))
         results += [_measure(view, models[view.seed[1]], estimates.get(index)) for index, view in enumerate(some)]

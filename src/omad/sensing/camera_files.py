@@ -110,6 +110,8 @@ def _told(data: Any, name: str | Path) -> CameraFile:
 def camera_of(data: Any, name: str | Path) -> CameraFile:
     """What a table tells of a camera under any of the names that ``read_camera`` knows; ``name``: of it in messages.
     Raises InputError."""
+    if _is_matrix(data):
+        return CameraFile(as_K(np.asarray(data, dtype=np.float64), str(name)))
     data = _of_all_images(data, name)
     if isinstance(data, dict) and "cam1" in data:
         raise InputError(f"{name}: holds several cameras; give the depth camera's lines, those below its name, alone")
@@ -126,9 +128,15 @@ def camera_of(data: Any, name: str | Path) -> CameraFile:
 
 
 def tells_of_camera(data: Any) -> bool:
-    """Whether a table holds intrinsics, right or wrong."""
-    data = _inner(data)
-    return isinstance(data, dict) and any(key in data for key in ("intrinsic_matrix", *MATRICES, "fx"))
+    """Whether a table holds intrinsics, right or wrong, or is a matrix of them."""
+    data, names = _inner(data), ("intrinsic_matrix", *MATRICES, "fx")
+    return _is_matrix(data) or (isinstance(data, dict) and any(name in data for name in names))
+
+
+def _is_matrix(data: Any) -> bool:
+    with suppress(*WRONG):
+        return isinstance(data, list | np.ndarray) and np.shape(data) == (3, 3)
+    return False
 
 
 def scale_of(data: Any, name: str | Path) -> float | None:

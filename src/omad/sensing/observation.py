@@ -279,7 +279,8 @@ def _check_depth(depth_m: Any) -> np.ndarray:
     stored = one_channel(_numbers(depth_m, "depth"))
     if stored.ndim != 2:
         raise InputError(f"depth: expected one channel of shape (H, W), got shape {stored.shape}")
-    depth = np.fmax(stored.astype(np.float32, copy=False), 0)  # of NaN and 0, fmax takes 0
+    with np.errstate(over="ignore"):  # of doubles beyond singles: no measurements, as infinite ones are none
+        depth = np.fmax(stored.astype(np.float32, copy=False), 0)  # of NaN and 0, fmax takes 0
     if (farthest := depth.max(initial=0)) == np.inf:
         depth[depth == np.inf] = 0
         farthest = depth.max()

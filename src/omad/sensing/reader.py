@@ -100,7 +100,11 @@ class InputReader:
     def _cloud(self, file: Path) -> Observation:
         if self.mask is not None or self.box is not None or self.mask_id is not None:
             raise InputError("--mask and --box need a depth image; cut the cloud out, or use --segment plane")
-        return Observation.from_points(read_cloud(file) * (self.depth_scale or 1.0), self.segment, self.drop_flying)
+        points = read_cloud(file) * (self.depth_scale or 1.0)
+        if self.find is None or self.segment is not None:
+            return Observation.from_points(points, self.segment, self.drop_flying)
+        seen = self.find(Observation.from_points(points), None)
+        return seen.without_strays() if self.drop_flying else seen
 
     def _depth(self, file: Path) -> Observation:
         beside = Beside.of(file)

@@ -61,6 +61,8 @@ class Results:
     """A file that is being made. Lengths are metres, angles radians, places those of the camera frame."""
 
     path: Path
+    made_of: dict[str, Any]
+    """Plain values; of others it is not to be made further."""
     done: int = 0
     """Rows that are there."""
     refused: int = 0
@@ -81,16 +83,15 @@ class Results:
             import_pyarrow()  # rather now than after a day's work
         if path.exists():
             raise InputError(f"{path}: is there already; delete it, or give another --output")
-        results = cls(path)
+        results = cls(path, made_of)
         make_folder(path.parent)
         if results.part.exists() and not results.part.is_file():  # a pipe would be waited for
             raise InputError(f"{results.part}: is no file; delete it, or give another --output")
-        if not results.part.exists():
-            write_json(results.run, made_of)
-        elif read_json(results.run, f"delete {results.part}, or give another --output") != made_of:
+        if not results.part.exists() or not results.part.stat().st_size:
+            return results
+        if read_json(results.run, f"delete {results.part}, or give another --output") != made_of:
             raise InputError(f"{results.part}: made with other inputs or settings; delete it, or give another --output")
-        else:
-            results._resume(batch)
+        results._resume(batch)
         return results
 
     @property
@@ -112,6 +113,8 @@ class Results:
             self._lock(file)
             if file.tell() != self.size:
                 raise InputError(f"{self.part}: another run has added rows; run this one again")
+            if not self.size:
+                write_json(self.run, self.made_of)  # before the first row, and by the one run that writes it
             for outcome in outcomes:
                 with writing(self.part):
                     file.write(json.dumps(row(outcome)).encode() + b"\n")

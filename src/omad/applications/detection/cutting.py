@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from omad.common.errors import NothingSeen
-from omad.estimation.checks import USUAL_SIZE, wrong_scale
+from omad.estimation.checks import usual_size, wrong_scale
 from omad.geometry.rigid import diagonal
 from omad.sensing.cutting.segmentation import things_before_planes
 from omad.sensing.observation import Observation
@@ -57,7 +57,7 @@ class ObjectFinder:
             what = f"{count} things of {sizes[0]:.2g} to {sizes[-1]:.2g} m stand {where}, none is about as large"
             if count == 1:
                 what = f"the one thing that stands {where} is {sizes[0]:.2g} m large, which is not its size"
-            usual = [USUAL_SIZE * estimator.category.metres_per_unit for estimator in self.detector.estimators]
+            usual = [usual_size(estimator.category) for estimator in self.detector.estimators]
             scale = wrong_scale(float(np.median(sizes)), float(np.median(usual)))
             told = f"{scale.why}: {scale.cure}" if scale else "check the depth scale"
             raise NothingSeen(f"no {names}: {what}; {told}, or {cure}")

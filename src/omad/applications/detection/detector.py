@@ -11,13 +11,12 @@ from omad.common.arrays import as_doubles
 from omad.common.errors import InputError
 from omad.estimation.categories.late import AnyEstimator, LateEstimator
 from omad.estimation.categories.proposals import Proposals
-from omad.estimation.checks import FACTORS, USUAL_SIZE, WrongScale, wrong_scale
+from omad.estimation.checks import FACTORS, WrongScale, usual_size, wrong_scale
 from omad.estimation.estimate import Estimate, chance, plain
 from omad.geometry.rigid import box as bounds
 from omad.geometry.rigid import diagonal
 from omad.model.checkpoint import shipped_categories
 from omad.model.proposals.network import Proposer, shipped_proposer
-from omad.objects.category import Category
 from omad.objects.category_file import get_category
 from omad.sensing.cutting.angles import angle_doubts
 from omad.sensing.cutting.not_depth import what_else
@@ -181,8 +180,8 @@ class Detector:
             if (score := sum(one.probability for one in sure)) > best:
                 best, scale = score, WrongScale.of(factor, depth_scale)
                 what = f"{len(sizes)} things, none of them an object, but at another scale {len(sure)} of them"
-        asked = [_usual_size(estimator.category) for estimator in self.estimators]
-        known = [*asked, *(_usual_size(get_category(name)) for name in shipped_categories())]
+        asked = [usual_size(estimator.category) for estimator in self.estimators]
+        known = [*asked, *(usual_size(get_category(name)) for name in shipped_categories())]
         if scale is None and not min(known) / ODD_SIZE < np.median(sizes) < ODD_SIZE * max(known):
             scale = wrong_scale(max(sizes), float(np.median(asked)), depth_scale)
         if scale is not None:
@@ -307,11 +306,6 @@ def _of_box(things: Sequence[np.ndarray], inside: np.ndarray | None) -> list[np.
 def _scaled(seen: Observation, factor: np.float32) -> Observation:
     """All lengths so many times as large."""
     return replace(seen, points=seen.points * factor, depth=None if seen.depth is None else seen.depth * factor)
-
-
-def _usual_size(category: Category) -> float:
-    """Metres."""
-    return USUAL_SIZE * category.metres_per_unit
 
 
 def _height(estimator: AnyEstimator) -> float:

@@ -17,7 +17,7 @@ from scipy.spatial import ConvexHull
 
 from omad.common.files import write_json
 from omad.estimation.categories.fronts import front_says
-from omad.estimation.checks import USUAL_SIZE
+from omad.estimation.checks import usual_size
 from omad.estimation.estimate import Estimate
 from omad.estimation.evidence import explanation, measure_evidence
 from omad.estimation.part_labels import OUTSIDE
@@ -38,7 +38,7 @@ LYING = 0.5
 
 def size_ratio(points: np.ndarray, category: Category) -> float:
     """Size of a cloud (N, 3) in metres, in units of the category's usual one."""
-    return diagonal(points) / (USUAL_SIZE * category.metres_per_unit)
+    return diagonal(points) / usual_size(category)
 
 
 def against(thing: Observation, estimate: Estimate, prior: OmadPrior, planes: np.ndarray, doubt: float) -> np.ndarray:

@@ -5,8 +5,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from omad.common.batches import batched, progress
 from omad.common.errors import InputError, shown
 from omad.data.rendering.standard_views import View
@@ -19,6 +17,8 @@ from omad.sensing.observation import Observation
 from .index import Entry
 from .picture import model_thumbnail, view_thumbnail
 from .signature import Signature, estimate_signature, fuse, model_signatures, prior_fingerprint
+
+BATCH = 32
 
 
 @dataclass(frozen=True)
@@ -56,13 +56,13 @@ def from_models(net: PriorNet, models: Sequence[ObjectModel], source: str) -> Ca
     return Catalogued(signatures, entries)
 
 
-def from_observations(estimator: Estimator, seen: Iterable[Seen], fused: bool, batch: int = 32) -> Catalogued:
+def from_observations(estimator: Estimator, seen: Iterable[Seen], fused: bool) -> Catalogued:
     """An entry an observation, or with ``fused`` one an object, from all observations that bear its name,
     with the picture of its first one."""
     prior, found = prior_fingerprint(estimator.net.prior, estimator.category), Catalogued()
     rows: dict[str, list[int]] = {}
     doubted: list[float | None] = []
-    for some in batched(seen, batch):
+    for some in batched(seen, BATCH):
         for thing, estimate in zip(some, estimator([thing.observation for thing in some]), strict=True):
             rows.setdefault(thing.name, []).append(len(found.entries))
             doubted.append(estimate.probability if estimate.doubtful else None)
@@ -83,7 +83,7 @@ def from_observations(estimator: Estimator, seen: Iterable[Seen], fused: bool, b
 
 def _thumbnail(thing: Seen, estimate: Estimate) -> bytes:
     """The estimated object, or where its surface is not known what was seen of it."""
-    if estimate.surfaces is None or not np.isfinite(estimate.keypoints).all():
+    if estimate.surfaces is None or not estimate.is_finite:
         return view_thumbnail(thing.observation)
     model = estimate.carried_model()
     return model_thumbnail(model.mirrored() if thing.mirrored else model)

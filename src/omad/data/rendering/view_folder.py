@@ -1,7 +1,8 @@
 """Standard views on disk: rendered once, read by anyone.
 
-    <folder>/dataset.json              category, camera, depth_scale (metres per stored integer), seed, noise, views
-                                       (and clutter: true, see below)
+    <folder>/dataset.json              format, category, camera, depth_scale (metres per stored integer), objects,
+                                       views; and where they are not the default seed, noise, finished (false as long
+                                       as it is being made), clutter (true: see below)
     <folder>/<object>/object.json      axes, pivots, limits, part_boxes (``standard_views.ObjectTruth``), and
                                        of_other_hand: true of a model that was imported as its mirror image
     <folder>/<object>/00000.json       states, T_camera_base, seed; written last, so it marks a whole view

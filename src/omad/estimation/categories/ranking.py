@@ -18,7 +18,7 @@ import numpy as np
 from scipy.special import softmax
 
 from omad.common.errors import InputError
-from omad.model.proposals.network import Proposer, shipped_proposer
+from omad.model.proposals.network import shipped_proposer
 from omad.sensing.observation import Observation
 
 from ..checks import Check
@@ -97,15 +97,13 @@ def rank(
     estimators: Sequence[AnyEstimator],
     known: Known = NOTHING_KNOWN,
     always: Sequence[str] = (),
-    propose: Proposer | None = None,
 ) -> Ranking:
     """Explanations by those of the estimators' categories that one look proposes, and by those that are to be fitted
-    ``always``; without those whose answers are no numbers, as of a cloud many times larger than the category.
-    ``propose``: the look; default: the shipped one."""
+    ``always``; without those whose answers are no numbers, as of a cloud many times larger than the category."""
     by_name = {estimator.category.name: estimator for estimator in estimators}
     if isinstance(always, str) or not {*always} <= by_name.keys():
         raise InputError(f"always: is {always!r}; give a list of the estimators' categories: {', '.join(by_name)}")
-    [look] = (propose or shipped_proposer())([known.as_level(observation)])
+    [look] = shipped_proposer()([known.as_level(observation)])
     proposals = Proposals.of(look, list(by_name))
     names = dict.fromkeys([*always, *proposals.worth_fitting(list(by_name))])
     asked = [by_name[name] for name in names]

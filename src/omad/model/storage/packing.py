@@ -11,16 +11,18 @@ from torch import Tensor
 
 SCALE = ".scale"
 """Ends the name of the scales (rows,) of what is called by the rest of it."""
+EXACT = "prior."
+"""Begins the names of what is kept as it is, too."""
 FEW = 1000
 """Numbers of a matrix that is kept as it is."""
 
 
-def packed(tensors: Mapping[str, Tensor], exact: str = "prior.") -> dict[str, Tensor]:
-    """Weights with their matrices, and all that has rows, in eight bits; those whose names begin with ``exact``, and
+def packed(tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """Weights with their matrices, and all that has rows, in eight bits; those whose names begin with ``EXACT``, and
     small ones, as they are."""
     kept = dict[str, Tensor]()
     for name, values in tensors.items():
-        if name.startswith(exact) or not values.is_floating_point() or values.ndim < 2 or values.numel() < FEW:
+        if name.startswith(EXACT) or not values.is_floating_point() or values.ndim < 2 or values.numel() < FEW:
             kept[name] = values
             continue
         rows = values.float().flatten(1)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
+from hashlib import sha256
 from itertools import accumulate
 from pathlib import Path
 from typing import Self
@@ -42,6 +43,9 @@ BLOCK = 4096
 """Entries of another catalogue in memory at a time."""
 RANKED_AGAIN = 1000
 """Nearest entries of which the search by information finds the nearest."""
+
+Digest = Callable[[int], str]
+"""Tells so many first inputs of a source from others."""
 
 
 class LargeIndex:
@@ -161,15 +165,18 @@ class LargeIndex:
         a kill all that was written is there, and ``taken`` tells how many inputs of ``source`` need not come again.
         ``inputs``: names of all of them, where they have any. Raises InputError where another process adds, for entries
         of another prior, and where the first ``inputs`` are not those that are in."""
+        self._add(portions, source, (lambda count: digest_of_names(inputs[:count])) if inputs else None)
+
+    def _add(self, portions: Iterable[Portion], source: str, digest: Digest | None) -> None:
         with only_one(self.folder, WRITER):
             self._show(read_manifest(self.folder))
-            self._check_inputs(source, inputs)
+            self._check_inputs(source, digest)
             for some in _gathered(portions):
-                self._add_part(some, source, inputs)
+                self._add_part(some, source, digest)
 
     def merge(self, other: ShapeIndex | LargeIndex, source: str) -> None:
         """Add the entries of another catalogue, called ``source``, but for those that are in. Raises InputError where
-        it is of another space, and for the catalogue itself."""
+        it is of another space, where its first entries are not those that are in, and for the catalogue itself."""
         self.space.check_same(other.space, source, self.folder)
         if isinstance(other, LargeIndex) and other.folder.resolve() == self.folder.resolve():
             raise InputError(f"{source}: is the catalogue itself; give another one")
@@ -177,15 +184,15 @@ class LargeIndex:
         def coming() -> Iterator[Portion]:
             yield from _portions_of(other, self.taken(source))  # asked for when nobody else writes any more
 
-        self.add(coming(), source)
+        self._add(coming(), source, lambda count: _digest_of_betas(other, count))
 
-    def _check_inputs(self, source: str, inputs: Sequence[str]) -> None:
+    def _check_inputs(self, source: str, digest: Digest | None) -> None:
         known, taken = dict(self.manifest.names).get(source), self.taken(source)
-        if inputs and known not in (None, digest_of_names(inputs[:taken])):
+        if digest is not None and known not in (None, digest(taken)):
             cure = "put new ones into a folder of their own, or build it anew"
             raise InputError(f"{source}: its first {taken} inputs are not those that are in {self.folder}; {cure}")
 
-    def _add_part(self, portions: list[Portion], source: str, inputs: Sequence[str]) -> None:
+    def _add_part(self, portions: list[Portion], source: str, digest: Digest | None) -> None:
         manifest, size = self.manifest, len(self.space.factor)
         for portion in portions:
             self.space.check_prior(portion.prior or self.space.prior)
@@ -194,7 +201,7 @@ class LargeIndex:
         covariances = np.array(manifest.covariances) + sum(portion.covariances for portion in portions)
         count = self.taken(source) + sum(portion.taken for portion in portions)
         taken = dict(manifest.taken) | {source: count}
-        names = dict(manifest.names) | ({source: digest_of_names(inputs[:count])} if inputs else {})
+        names = dict(manifest.names) | ({} if digest is None else {source: digest(count)})
         manifest = replace(
             manifest,
             covariances=tuple(map(tuple, covariances.tolist())),
@@ -276,13 +283,28 @@ def open_index(path: str | Path) -> ShapeIndex | LargeIndex:
 
 def _portions_of(index: ShapeIndex | LargeIndex, first: int) -> Iterator[Portion]:
     """Its entries from the row ``first`` on; of their covariances only the mean is known."""
-    for start in range(first, len(index), BLOCK):
-        rows = np.arange(start, min(start + BLOCK, len(index)))
+    for rows in _blocks(first, len(index)):
         if isinstance(index, LargeIndex):
-            betas, entries = index.betas_of(rows), [index.entry(row) for row in rows.tolist()]
+            entries = [index.entry(row) for row in rows.tolist()]
         else:
-            betas, entries = index.betas[rows], index.entries[start : start + BLOCK]
-        yield Portion(betas, entries, index.usual_covariance * len(rows), len(rows))
+            entries = index.entries[rows[0] : rows[-1] + 1]
+        yield Portion(_betas_of(index, rows), entries, index.usual_covariance * len(rows), len(rows))
+
+
+def _digest_of_betas(index: ShapeIndex | LargeIndex, count: int) -> str:
+    found = sha256()
+    for rows in _blocks(0, min(count, len(index))):
+        found.update(np.ascontiguousarray(_betas_of(index, rows), np.float32).tobytes())
+    return found.hexdigest()[:32]
+
+
+def _betas_of(index: ShapeIndex | LargeIndex, rows: np.ndarray) -> np.ndarray:
+    return index.betas_of(rows) if isinstance(index, LargeIndex) else index.betas[rows]
+
+
+def _blocks(first: int, end: int) -> Iterator[np.ndarray]:
+    for start in range(first, end, BLOCK):
+        yield np.arange(start, min(start + BLOCK, end))
 
 
 def _gathered(portions: Iterable[Portion]) -> Iterator[list[Portion]]:

@@ -67,7 +67,7 @@ class Manifest:
     taken: tuple[tuple[str, int], ...] = ()
     """Of each source, how many of its inputs are in ..."""
     names: tuple[tuple[str, str], ...] = ()
-    """... and of some a digest of what these are called."""
+    """... and of some what tells these from others: a digest of their names, or of their betas."""
 
     @property
     def entries(self) -> int:
