@@ -111,7 +111,7 @@ def camera_of(data: Any, name: str | Path) -> CameraFile:
     """What a table tells of a camera under any of the names that ``read_camera`` knows; ``name``: of it in messages.
     Raises InputError."""
     if _is_matrix(data):
-        return CameraFile(as_K(np.asarray(data, dtype=np.float64), str(name)))
+        return CameraFile(as_K(data, str(name)))
     data = _of_all_images(data, name)
     if isinstance(data, dict) and "cam1" in data:
         raise InputError(f"{name}: holds several cameras; give the depth camera's lines, those below its name, alone")
@@ -134,9 +134,7 @@ def tells_of_camera(data: Any) -> bool:
 
 
 def _is_matrix(data: Any) -> bool:
-    with suppress(*WRONG):
-        return isinstance(data, list | np.ndarray) and np.shape(data) == (3, 3)
-    return False
+    return isinstance(data, np.ndarray) and data.size == 9 and data.ravel()[6:].tolist() == [0, 0, 1]
 
 
 def scale_of(data: Any, name: str | Path) -> float | None:
