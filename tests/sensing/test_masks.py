@@ -70,8 +70,12 @@ def test_grey_edges_and_pictures_are_no_labels() -> None:
     assert np.array_equal(as_mask(smooth), MASK)
     parts = np.where(MASK, np.uint8(255), np.uint8(0))  # as omad render labels what is no part, and VOC what is unclear
     parts[2, 3:6] = 1
-    with pytest.raises(InputError, match="label image of 1, 255"):
+    with pytest.raises(InputError, match=r"label image of 1, 255; .* mask != 0 for all"):
         as_mask(parts)
+    labels = np.where(MASK, np.uint8(1), np.uint8(255))  # where the first part is 0
+    labels[2, 3:5] = 0
+    with pytest.raises(InputError, match=r"label image of 1, 255; .* mask != 255 for all"):
+        as_mask(labels)
     picture = np.arange(1, 201).reshape(10, 20)
     assert as_mask(picture).all()
 

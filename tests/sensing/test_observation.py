@@ -362,3 +362,23 @@ def test_what_is_no_number_is_refused_with_the_cure_of_its_kind() -> None:
 
 def test_an_observation_of_nothing_says_so() -> None:
     assert repr(Observation(np.zeros((0, 3), np.float32))).startswith("<Observation: 0 points")
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.int8])
+def test_depth_of_eight_bits_is_refused(dtype) -> None:
+    with pytest.raises(InputError, match="holds too few depth steps"):
+        Observation.from_depth(np.full((48, 64), 100, dtype), np.array([[60, 0, 31.5], [0, 60, 23.5], [0, 0, 1.0]]))
+
+
+@pytest.mark.parametrize(
+    ("numbers", "asked"),
+    [
+        ((32, 24, 60, 60), "fx, fy, cx, cy, in this order"),
+        ((60, 60, 23.5, 31.5), "is the image transposed"),
+        ((60, 60, 60, 23.5), "are the intrinsics those of this image"),
+    ],
+)
+def test_what_is_wrong_with_a_principal_point_is_guessed(numbers, asked) -> None:
+    fx, fy, cx, cy = numbers
+    seen = Observation.from_depth(np.full((48, 64), 1.0), np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]]))
+    assert asked in seen.warnings[0]

@@ -24,9 +24,10 @@ from omad.data.procedural import generate
 from omad.data.rendering.depth_noise import LEVELS, add_noise
 from omad.data.rendering.standard_views import standard_view
 from omad.estimation.categories.ranking import rank, suspected
-from omad.estimation.checks import doubts, size_doubts
+from omad.estimation.checks import doubts, gravity_doubts, size_doubts
 from omad.estimation.estimate import Estimate
 from omad.estimation.estimator import Estimator
+from omad.estimation.known import Known
 from omad.estimation.world import gravity_in_camera, in_world
 from omad.geometry.camera import STANDARD_CAMERA, Camera
 from omad.geometry.lens import Distortion
@@ -212,6 +213,25 @@ def test_few_points_a_bad_fit_and_an_unsure_network_are_named():
         assert all(check.to_dict().values())
 
 
+def test_a_doubtful_answer_has_something_to_look_at():
+    estimate = laptop_estimate()
+    assert [check.name for check in doubts(laptop_observation(), replace(estimate, probability=0.4))] == ["probability"]
+    assert doubts(laptop_observation(), replace(estimate, probability=0.6)) == []
+
+
+def test_an_object_on_its_side_is_named_where_nobody_told_of_gravity():
+    estimator = shared_estimator("dishwasher")
+    view = standard_view(generate(estimator.category, 1, "test"), estimator.category, (0, 1)).observation()
+    upright = estimator(view)
+    quarter = np.eye(4)
+    quarter[:2, :2] = [[0, -1], [1, 0]]
+    lying = replace(upright, placed=replace(upright.placed, T_camera_part=quarter @ upright.T_camera_part))
+    for estimate, named in ((upright, []), (lying, ["gravity"])):
+        found = gravity_doubts(view, estimate, Known(), estimator)
+        assert [check.name for check in found] == named
+    assert not gravity_doubts(laptop_observation(), laptop_estimate(), Known(), estimator)
+
+
 def test_a_door_that_is_not_seen_is_named():
     """As where a hand or the border hides it: how far it is open is then a guess."""
     estimator, model = shared_estimator("dishwasher"), generate(get_category("dishwasher"), 1, "test")
@@ -338,5 +358,6 @@ def test_the_pages_python_runs(frame, capsys):
 
 def test_the_page_knows_every_check():
     told = PAGE.read_text()
-    for name in ("size", "depth", "points", "frame", "convergence", "residual", "network", "part", "hand", "category"):
+    names = "size depth points frame gravity convergence residual network part hand category probability"
+    for name in names.split():
         assert f"`{name}`" in told

@@ -102,7 +102,7 @@ class Solver:
         gravity and with other focal lengths."""
         known = self.known.of(estimator.category)
         checks = gravity_doubts(observation, estimate, known, estimator)
-        if all(check.name == "residual" for check in (*found, *checks)):  # which a wrong focal length may explain, too
+        if all(check.name in ("residual", "probability") for check in (*found, *checks)):  # a wrong focal length's, too
             checks += camera_doubts(observation, estimate, lambda views: estimator.first_answers(views, known))
         return checks
 

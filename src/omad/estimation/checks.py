@@ -14,7 +14,7 @@ from omad.sensing.cutting.not_depth import ENOUGH, Z_BUFFER, NotDepth, may_be_z_
 from omad.sensing.observation import Observation
 
 from .confidence.signals import cut_off
-from .estimate import Estimate
+from .estimate import Estimate, chance
 from .evidence import explanation
 from .known import Known
 
@@ -55,6 +55,9 @@ HALF_EXPLAINED = 0.5
 TILTED, TELLING = 10.0, 0.8
 """Degrees by which objects seem to lean at most that do not (98 % of noisy views of most categories: 3 to 6), and the
 probability from which on an answer is believed in that."""
+LYING, IN_THE_IMAGE = 30.0, 0.4
+"""Degrees beyond the roll of standard views from which on an object seems to lie on its side (3 of 1000 answers to
+spoilt views of upright chests and appliances did), where at least so much of its up shows in the image."""
 SURE_OF_HAND = 0.75
 """Of views whose hand is told less surely, one in three is taken for its mirror image; of all others one in fifty."""
 SURROUNDED = 0.1
@@ -95,7 +98,7 @@ def doubts(observation: Observation, estimate: Estimate, depth_scale: float | No
     if isinstance(observation, Estimate):
         raise InputError("doubts: was given the estimate first; give doubts(observation, estimate)")
     category = estimate.category
-    return [
+    found = [
         *size_doubts(observation, category, depth_scale),
         *depth_doubts(observation),
         *_view_doubts(observation),
@@ -105,6 +108,7 @@ def doubts(observation: Observation, estimate: Estimate, depth_scale: float | No
         *hand_doubts(estimate.hand_probability),
         *_surface_doubts(observation, estimate),
     ]
+    return found or list(_nothing_else(estimate))
 
 
 def is_doubtful(estimate: Estimate, found: Sequence[Check]) -> bool:
@@ -242,10 +246,10 @@ def camera_doubts(
 def gravity_doubts(
     observation: Observation, estimate: Estimate, known: Known, estimator: Callable[[Observation, Known], Estimate]
 ) -> list[Check]:
-    """Where the object seems to stand otherwise than the ``known`` gravity says. ``estimator`` is asked once more,
-    without it."""
+    """Where the object seems to stand otherwise than the ``known`` gravity says; ``estimator`` is asked once more,
+    without it. Or where that is not known, and the object, of a kind that stands, seems to lie on its side."""
     if known.gravity is None:
-        return []
+        return list(_lying_doubts(estimate))
     free = estimator(observation, replace(known, gravity=None))
     off = np.degrees(np.arccos(np.clip(estimate.T_camera_base[:3, 1] @ free.T_camera_base[:3, 1], -1, 1)))
     if off <= TILTED or free.supposed_probability < TELLING:
@@ -260,6 +264,18 @@ def gravity_doubts(
             grave=True,
         )
     ]
+
+
+def _lying_doubts(estimate: Estimate) -> Iterator[Check]:
+    category, up = estimate.category, estimate.T_camera_base[:3, 1]
+    leaning = float(np.degrees(np.arctan2(abs(up[0]), -up[1])))
+    if np.hypot(up[0], up[1]) > IN_THE_IMAGE and leaning > np.degrees(category.views.roll) + LYING:
+        yield Check(
+            "gravity",
+            f"in the image the {category.name} leans by {leaning:.0f} degrees, and most stand upright",
+            "a side was taken for the top, or the camera was turned, and then more answers are wrong",
+            "give gravity (--gravity), or turn the image upright",
+        )
 
 
 def _odds(estimate: Estimate) -> float:
@@ -346,6 +362,17 @@ def part_doubts(shares: np.ndarray, category: Category) -> Iterator[Check]:
                 "it is hidden, cut off, on the far side, or left out of the mask",
                 f"take the state of {joint.name} for a guess, or look from where {part.name} shows",
             )
+
+
+def _nothing_else(estimate: Estimate) -> Iterator[Check]:
+    """Where an answer is doubtful, and no one thing says why."""
+    if estimate.doubtful:
+        yield Check(
+            "probability",
+            f"answers like this one are right {chance(estimate.supposed_probability)} of the time",
+            "many numbers that are each still usual together are not: few points, a poor view, a shape unlike others",
+            "try another viewpoint or a better mask; where patches of depth are wrong, drop_flying (--drop-flying)",
+        )
 
 
 def hand_doubts(probability: float | None) -> Iterator[Check]:

@@ -218,11 +218,11 @@ def read_transform(source: str | Path, name: str) -> np.ndarray:
         T = np.vstack([matrix.reshape(-1, 4), [0, 0, 0, 1]])[:4]
         if matrix.size not in (12, 16) or not np.isfinite(T).all() or not np.allclose(T[3], [0, 0, 0, 1]):
             raise ValueError("no 4x4 matrix that ends in 0 0 0 1")
-        if not is_rotation(T[:3, :3]):
-            raise ValueError("its 3x3 part is no rotation")
     except WRONG as error:
         cure = f"give 4x4 numbers, JSON with {name}, or rotation and translation as librealsense writes them"
         raise InputError(f"{path}: holds no {name}; {cure}") from error
+    if not is_rotation(T[:3, :3]):
+        raise InputError(f"{path}: the 3x3 part of {name} is no rotation, but scaled, mirrored or rounded; correct it")
     if np.abs(T).max() > FARTHEST:
         raise InputError(f"{path}: {name} goes farther than {FARTHEST:g} m; give its translation in metres")
     return T

@@ -196,8 +196,9 @@ def _of_one_thing(numbers: np.ndarray) -> np.ndarray:
     grey = 255 * int(others.max(initial=0)) >= SHADE * int(high)
     smoothed = grey and high == np.iinfo(numbers.dtype).max and 2 * len(others) < np.count_nonzero(there)
     if len(others) and not smoothed and len(ids := np.unique(others)) < FEW - 1:
-        listed = _listed(np.append(ids, high))
-        raise InputError(f"mask: is a label image of {listed}; give mask_id (--mask-id), or mask != 0 for all of them")
+        border, counts = np.unique(np.concatenate([*numbers[[0, -1]], *numbers.T[[0, -1]]]), return_counts=True)
+        cure = f"give mask_id (--mask-id), or mask != {border[counts.argmax()]} for all of them"
+        raise InputError(f"mask: is a label image of {_listed(np.append(ids, high))}; {cure}")
     return there
 
 

@@ -279,6 +279,8 @@ def _check_depth(depth_m: Any) -> np.ndarray:
     stored = one_channel(_numbers(depth_m, "depth"))
     if stored.ndim != 2:
         raise InputError(f"depth: expected one channel of shape (H, W), got shape {stored.shape}")
+    if stored.dtype.itemsize == 1:
+        raise InputError(f"depth: {stored.dtype} holds too few depth steps; take the camera's own depth, in metres")
     with np.errstate(over="ignore"):  # of doubles beyond singles: no measurements, as infinite ones are none
         depth = np.fmax(stored.astype(np.float32, copy=False), 0)  # of NaN and 0, fmax takes 0
     if (farthest := depth.max(initial=0)) == np.inf:
@@ -384,5 +386,10 @@ def _doubts(camera: Camera) -> tuple[str, ...]:
     off = max(abs(centre / max(side - 1, 1) - 0.5) for centre, side in sides)
     if off <= OFF_CENTRE or min(camera.width, camera.height) == 1:
         return ()
-    image = f"{camera.width}x{camera.height} image: are the intrinsics those of this image?"
+    middle, asked = (camera.width / 2, camera.height / 2), "are the intrinsics those of this image?"
+    if np.allclose((camera.fx, camera.fy), middle, rtol=0.1):
+        asked = "are they fx, fy, cx, cy, in this order?"
+    elif np.allclose((camera.cy, camera.cx), middle, rtol=0.1):
+        asked = "is the image transposed?"
+    image = f"{camera.width}x{camera.height} image: {asked}"
     return (f"principal point ({camera.cx:.0f}, {camera.cy:.0f}) is far from the middle of the {image}",)

@@ -58,8 +58,9 @@ class ObjectFinder:
             if count == 1:
                 what = f"the one thing that stands {where} is {sizes[0]:.2g} m large, which is not its size"
             usual = [usual_size(estimator.category) for estimator in self.detector.estimators]
-            scale = wrong_scale(float(np.median(sizes)), float(np.median(usual)))
+            scale = wrong_scale(float(np.median(sizes)), float(np.median(usual))) if box is None else None
             told = f"{scale.why}: {scale.cure}" if scale else "check the depth scale"
+            told = "what lies flat cannot be told from what it lies on" if box is not None else told
             raise NothingSeen(f"no {names}: {what}; {told}, or {cure}")
         best, likelihood = candidates[0], _likelihood(candidates[0])
         if likelihood < LIKELY and box is None:
