@@ -141,7 +141,8 @@ def others(estimator: Estimator, total: int, seed: int) -> list[Measured]:
         for number, observation in observe_all(view for view in some if view is not None).items():
             estimate = estimator(observation)
             nothing = np.full((len(LEVELS), len(category.joints)), np.nan)
-            told = _flagged(observation, estimate), True, nothing[0] < 0, _probability(estimate)
+            unseen = np.zeros(len(category.joints), bool)
+            told = _flagged(observation, estimate), True, unseen, _probability(estimate)
             found.append(Measured(number, missing_errors(category), nothing, *told))
     return found
 
