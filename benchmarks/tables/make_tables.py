@@ -183,7 +183,7 @@ def shares_table() -> list[str]:
 def replaced(text: str, name: str, lines: list[str], some: tuple[str, ...] = ()) -> str:
     """``text`` with what stands between the marks of ``name`` exchanged; where ``lines`` are of ``some`` categories,
     only theirs."""
-    pattern = re.compile(rf"(<!-- {name} -->\n)(.*?)\n(<!-- end -->)", re.DOTALL)
+    pattern = re.compile(rf"(<!-- {name} -->\n)((?:.*\n)*?)(<!-- end -->)")
 
     def exchanged(match: re.Match[str]) -> str:
         after = put_in(match[2].splitlines(), lines, some) if some else lines
