@@ -97,7 +97,7 @@ def test_a_batch_that_cannot_be_shared_is_refused_before_anything_is_trained(cap
 
 
 def test_features_that_are_not_there_are_refused_before_anything_is_trained(capsys):
-    assert "no weights for 'laptp'" in refused(capsys, "train", "all", *TINY, "--features", "laptp")
+    assert "no weights for 'laptp' (laptop?)" in refused(capsys, "train", "all", *TINY, "--features", "laptp")
     assert not Path("runs").exists()
 
 

@@ -167,7 +167,8 @@ def test_the_likelier_hand_is_taken_and_without_one_the_surer(views):
         weakly = surer_hands(plain, images, hand.tolist(), together, 0.5)
         assert [e.hand_probability for e in weakly] == pytest.approx(expit(np.abs(np.diff(odds)[:, 0]) / 2))
     surer = [np.log(a.keypoint_std).mean() > np.log(b.keypoint_std).mean() for a, b in zip(plain, images, strict=True)]
-    assert [e.of_other_hand for e in surer_hands(plain, images, (), False)] == surer
+    for unknown in (None, 0.5):
+        assert [e.of_other_hand for e in surer_hands(plain, images, (), False, unknown)] == surer
     assert all(e.of_other_hand for e in surer_hands(plain, images, (), False, 0.9))
     before = [*hand[:-3], hand[-1]]  # one that was fitted before the front was asked
     own, other = ([np.append(told(estimate)[:-2], 1) @ before for estimate in some] for some in (plain, images))

@@ -297,3 +297,14 @@ def test_looking_less_still_finds_the_object(estimator):
     fast = Estimator(estimator.net, EstimatorConfig.fast())
     off = [np.abs([e.joint_states for e in each(observations)] - states) for each in (estimator, fast)]
     assert np.median(off[1]) < 2 * np.median(off[0])
+
+
+def test_each_way_of_answering_is_compiled_ahead(monkeypatch):
+    """Laptops' answers ask for surfaces, microwaves' for either hand: what one needs does not do for the other."""
+    found = []
+    monkeypatch.setattr("omad.estimation.estimator.compile_ahead", lambda answers, category, ways: found.append(ways))
+    for name in ("laptop", "microwave", "laptop"):
+        omad.Estimator.from_pretrained(name, "cpu")
+    first, other, again = found
+    assert first == again != other
+    assert len({*found}) == 2

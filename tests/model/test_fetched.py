@@ -200,5 +200,5 @@ def test_addresses_are_told_from_folders():
     assert address_of("C:/weights") is None
     assert address_of(PureWindowsPath("C:/weights")) is None
     assert address_of(PureWindowsPath("s3://bucket/some/weights")) == "s3://bucket/some/weights"
-    assert address_of(Path("https://a/b")) == "https://a/b"
+    assert address_of(Path("https://a/b")) == address_of("HTTPS://a/b") == "https://a/b"
     assert address_of(Path("file:///a/b")) == address_of("file:///a/b") == "file:///a/b"

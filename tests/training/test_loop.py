@@ -166,6 +166,7 @@ def test_a_network_learns_from_one_with_another_prior(category, models, priornet
 def test_fine_tuning_starts_from_given_weights_and_refuses_another_prior(models, priornet, tmp_path):
     settings = NetTraining(schedule=Schedule(steps=1, batch=4, learning_rate=0.0))
     first = train_net(models, LAPTOP, priornet, tmp_path / "a", settings)
+    first.own_states = 0.25
     again = train_net(
         models,
         LAPTOP,
@@ -175,6 +176,7 @@ def test_fine_tuning_starts_from_given_weights_and_refuses_another_prior(models,
         initial=first,
     )
     assert all(torch.equal(a, b) for a, b in zip(first.parameters(), again.parameters(), strict=True))
+    assert again.own_states == 0.25  # too few objects to hold any back that would tell another
     other = PriorNet(LAPTOP)
     with pytest.raises(InputError):
         train_net(models, LAPTOP, other, tmp_path / "c", settings, initial=first)

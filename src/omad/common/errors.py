@@ -1,6 +1,7 @@
 """The exceptions that mean: here is what went wrong, and what to do about it."""
 
-from collections.abc import Iterator
+import difflib
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -31,6 +32,12 @@ class WorkError(RuntimeError):
 
 def _shortened(message: str) -> str:
     return as_line(message if len(message) <= LONGEST else f"{message[:LONGEST]}...")
+
+
+def unknown(name: str, known: Iterable[str]) -> str:
+    """A name that is none of the ``known`` ones as a message has it, with the one that may be meant."""
+    near = difflib.get_close_matches(name, list(known), 1)
+    return f"{name!r} ({near[0]}?)" if near else repr(name)
 
 
 def as_line(text: str) -> str:

@@ -83,9 +83,10 @@ def address_of(place: str | PurePath) -> str | None:
     found = re.match(r"([A-Za-z][\w+.-]+):[/\\]+", str(place))
     if found is None:
         return None
+    scheme = found[1].lower()
     rest = str(place)[found.end() :]
     rest = rest.replace("\\", "/") if isinstance(place, PureWindowsPath) else rest
-    return f"{found[1]}://{'/' if found[1] == 'file' else ''}{rest}"
+    return f"{scheme}://{'/' if scheme == 'file' else ''}{rest}"
 
 
 def as_path(path: Any, what: str) -> Path:

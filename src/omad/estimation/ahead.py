@@ -18,8 +18,8 @@ def compile_ahead(
     answers: Callable[[Sequence[Observation]], list[Estimate]], category: Category, settings: Hashable = None
 ) -> None:
     """Compile, or load what an earlier process compiled, on the way from a depth image to an estimate, once a process
-    and ``settings``. ``answers`` need not be compared with others, which takes as long again and the same code. Where
-    something has to be compiled, a line on stderr says so."""
+    and ``settings``, which are to say all that the way depends on. ``answers`` need not be compared with others, which
+    takes as long again and the same code. Where something has to be compiled, a line on stderr says so."""
     if settings in _DONE:
         return
     view = made_up_view(category)

@@ -139,7 +139,9 @@ class Estimator:
         net = load(OmadNet, folder)
         confidence, surfaces = Confidence.load(folder, net.category), Surfaces.beside(folder, net.prior, net.category)
         estimator = cls(net, config, pick_device(device), refine, confidence, surfaces)
-        compile_ahead(estimator.first_answers, estimator.category, (estimator.config, estimator.device.type, refine))
+        ways = net.backbone.config, net.tells_outside, net.category.either_hand, estimator.hand, estimator.answers.asked
+        settings = estimator.config, estimator.device.type, refine, ways
+        compile_ahead(estimator.first_answers, estimator.category, settings)
         return estimator
 
     @property

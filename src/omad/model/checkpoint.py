@@ -14,7 +14,7 @@ from torch import Tensor, nn
 
 from omad.common.arrays import digest_of
 from omad.common.decode import decode
-from omad.common.errors import InputError
+from omad.common.errors import InputError, unknown
 from omad.common.files import write_atomic, write_json
 from omad.common.incoming import CHECKSUM, address_of, as_path, check_seal, is_file, read_sealed, readable, sealed
 from omad.common.limits import check_limit
@@ -148,9 +148,10 @@ def find_weights(name: str | Path) -> Path:
         return folder
     if isinstance(name, Path) or os.path.dirname(name):
         raise InputError(f"{name}: no such folder; give the folder that a training wrote")
-    known = ", ".join(shipped_categories()) or "none"
+    known = shipped_categories()
     raise InputError(
-        f"no weights for {str(name)!r}: give a checkpoint folder (--weights) or a category with weights ({known}; "
+        f"no weights for {unknown(str(name), known)}: give a checkpoint folder (--weights) or a category with weights "
+        f"({', '.join(known) or 'none'}; "
         "pip install 'omad[categories]' brings all that there are)"
     )
 

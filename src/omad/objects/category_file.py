@@ -24,7 +24,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from omad.common.decode import decode, within
-from omad.common.errors import InputError
+from omad.common.errors import InputError, unknown
 from omad.common.incoming import existing, read_json, read_toml
 from omad.geometry.joint_kinds import JointType
 
@@ -108,8 +108,11 @@ def get_category(name: str | Path) -> Category:
     if is_spec_file(name):
         return read_spec(name)
     if str(name) not in builtin_names():
-        known = ", ".join(builtin_names())
-        raise InputError(f"unknown category {str(name)!r}: known ones are {known}; give the spec file of your own one")
+        known = builtin_names()
+        raise InputError(
+            f"unknown category {unknown(str(name), known)}: known ones are {', '.join(known)}; give the spec file of "
+            "your own one"
+        )
     return _builtin(str(name))
 
 

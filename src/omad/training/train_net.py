@@ -171,7 +171,8 @@ def train_net(
 ) -> OmadNet:
     """Train OMADNet on views of ``models``, from ``initial`` weights where given, or with what ``features`` knows of
     clouds, whose prior and category may be others; returns the averaged network. A few of the objects are held back, if
-    there are many: they tell how it goes, and what share of its own joint states shall be in answers. Raises InputError
+    there are many: they tell how it goes, and what share of its own joint states shall be in answers, which otherwise is
+    that of ``initial``. Raises InputError
     where the prior of ``initial`` has other keypoints: it would answer in another language."""
     seen, held = split(models)
     bank = seeded_bank(seen, category, settings.schedule.seed, device)
@@ -199,7 +200,10 @@ def train_net(
 
     check = None if held_back is None else held_back.errors
     averaged = train_network(net, loss_terms, settings, models, folder, bank, made_of, check, processes)
-    averaged.own_states = 0.0 if held_back is None else held_back.best_share(averaged.eval())
+    if held_back is not None:
+        averaged.own_states = held_back.best_share(averaged.eval())
+    elif initial is not None:
+        averaged.own_states = initial.own_states
     return averaged
 
 

@@ -40,7 +40,8 @@ def surer_hands(
     lead = (odds_for[:, 0] - odds_for[:, 1]) / 2
     if mirrored_probability is not None:
         before = -logit(number(mirrored_probability))
-        lead = np.where(np.abs(lead) > abs(before), lead, before) if hand else np.full(len(lead), before)
+        surely = np.abs(lead) if hand else np.zeros(len(lead))  # expected errors are no odds: what was known counts
+        lead = np.where(surely >= abs(before), lead, before)
     chosen = [own if ahead >= 0 else image.in_mirror() for ahead, (own, image) in zip(lead, pairs, strict=True)]
     told = expit(np.abs(lead)).tolist() if hand else [None] * len(pairs)
     return [
