@@ -156,8 +156,17 @@ def test_cameras_of_all_images_of_a_bop_scene():
         InputReader.of(InputOptions(intrinsics="scene_camera.json"), [image])
     Path("same.json").write_text(json.dumps({"0": cameras["7"], "7": cameras["7"]}))
     assert InputReader.of(InputOptions(intrinsics="same.json"), [image])(image).points[:, 2] == pytest.approx(1.0)
-    for stored, metres in ((1.0, 0.001), (0.1, 0.0001), (0.001, 0.001), (1000, 0.001), (0.00025, 0.00025)):
+    for stored, metres in (
+        (1.0, 0.001),
+        (0.1, 0.0001),
+        (0.001, 0.001),
+        (1000, 0.001),
+        (0.00025, 0.00025),
+        ("1e-4", 1e-4),
+    ):
         assert scale_of({"depth_scale": stored}, "a.json") == pytest.approx(metres)
+        for kept in ("depth", "camera", "intrinsics"):  # where the camera is
+            assert scale_of({kept: {"fx": 60, "depth_scale": stored}}, "a.json") == pytest.approx(metres)
 
 
 def test_a_mask_in_the_file_of_the_depth_image_counts():

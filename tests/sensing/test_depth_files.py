@@ -262,7 +262,7 @@ def test_intrinsics_in_every_form(tmp_path: Path) -> None:
         "ros2.yaml": "header:\n  frame_id: camera\nk:\n" + "".join(f"- {x}\n" for x in flat),
         "calibration.yaml": f"camera_matrix:\n  rows: 3\n  cols: 3\n  data: {flat}\n",
         "matrix.txt": "\n".join(" ".join(map(str, row)) for row in K),
-        "four.txt": "600 601 319.5 239.5\n",
+        "four.txt": "# fx fy cx cy\n600 601 319.5 239.5\n",
         "rows.yaml": "".join(f"- [{', '.join(map(str, row))}]\n" for row in K),
         "named.json": json.dumps({"intrinsics": K.tolist()}),
         "two.json": json.dumps({"color": {"fx": 1, "fy": 1, "cx": 0, "cy": 0}, "depth": {"K": flat}}),

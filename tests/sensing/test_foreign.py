@@ -220,7 +220,7 @@ def test_broken_messages_are_refused_in_a_line():
 
 def test_a_calibration_of_kalibr(tmp_path):
     lens = "distortion_coeffs: [0.1, -0.2, 0.001, 0.002]\n  distortion_model"
-    for model, known in (("radtan", "plumb_bob"), ("equidistant", "equidistant")):
+    for model, known in (("radtan", "plumb_bob"), ("equidistant", "equidistant"), ("equi", "equidistant")):
         told = f"intrinsics: [600, 601, 319.5, 239.5]\n  {lens}: {model}\n  resolution: [640, 480]\n"
         (tmp_path / "camchain.yaml").write_text(f"cam0:\n  camera_model: pinhole\n  {told}")
         camera = read_camera(tmp_path / "camchain.yaml")
@@ -259,8 +259,8 @@ def test_cameras_of_radiance_fields_and_of_record3d(tmp_path):
     told = {
         "fl_x": 600,
         "fl_y": 601,
-        "cx": 319.5,
-        "cy": 239.5,
+        "cx": 320,
+        "cy": 240,
         "w": 640,
         "h": 480,
         "k1": 0.1,

@@ -232,8 +232,10 @@ def test_a_list_of_annotations_is_as_a_file_of_them(tmp_path: Path) -> None:
         assert np.array_equal(read_mask(tmp_path / f"{number}.json"), RING)
     assert np.array_equal(parse_mask(json.dumps([ring, other]).encode(), "mask", 5), RING)
     assert np.array_equal(as_mask([{"segmentation": MASK, "area": 12}]), MASK)
-    with pytest.raises(InputError, match=r"2 with the ids 5, 8; give mask_id \(--mask-id\)"):
+    with pytest.raises(InputError, match=r"2 annotations with the ids 5, 8; give mask_id \(--mask-id\)"):
         as_mask([ring, other])
+    with pytest.raises(InputError, match=r"ids 5, 8; none of them is 7"):
+        as_mask([ring, other], 7)
     for wrong in ([], [5], [ring, 5], [{"size": [40, 60]}]):
         with pytest.raises(InputError, match="holds no mask; give one COCO segmentation"):
             parse_mask(json.dumps(wrong).encode(), "mask")
@@ -243,7 +245,7 @@ def test_annotations_without_ids_are_told_by_their_place() -> None:
     runs = {"size": [40, 60], "counts": RING_COUNTS}
     listed = [{"segmentation": {"size": [40, 60], "counts": [2400]}, "area": 0}, {"segmentation": runs, "area": 9}]
     assert np.array_equal(as_mask(listed, 1), RING)
-    with pytest.raises(InputError, match=r"2 with the ids 0, 1; give mask_id \(--mask-id\)"):
+    with pytest.raises(InputError, match=r"2 annotations with the ids 0, 1; give mask_id \(--mask-id\)"):
         as_mask(listed)
 
 
@@ -262,7 +264,7 @@ def test_outlines_of_labelme(tmp_path: Path) -> None:
     assert np.array_equal(read_mask(outlined(square(5))), expected[0])
     assert np.array_equal(read_mask(outlined(square(5), square(30)), 1), expected[1])
     assert np.array_equal(read_mask(outlined(square(5, group_id=1), square(30, group_id=1))), expected.any(0))
-    with pytest.raises(InputError, match=r"2 with the ids 0, 1; give mask_id"):
+    with pytest.raises(InputError, match=r"2 annotations with the ids 0, 1; give mask_id"):
         read_mask(outlined(square(5), square(30)))
     with pytest.raises(InputError, match="kind 'circle'; draw polygons"):
         read_mask(outlined(square(5, shape_type="circle")))

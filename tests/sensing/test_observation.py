@@ -42,7 +42,7 @@ def refused(*words: str, **arguments: object) -> None:
 # geometry
 
 
-@pytest.mark.parametrize("form", [K, (60.0, 61.0, 31.5, 23.5), CAMERA, torch.tensor(K)])
+@pytest.mark.parametrize("form", [K, K @ np.eye(3, 4), (60.0, 61.0, 31.5, 23.5), CAMERA, torch.tensor(K)])
 def test_points_project_back_onto_their_pixels(form: object) -> None:
     depth = bump()
     seen = Observation.from_depth(depth, form)
@@ -208,6 +208,9 @@ def test_cloud() -> None:
     assert seen.points.shape == (98, 3)
     assert seen.depth is None
     assert seen.warnings == ()
+    assert np.array_equal(Observation.from_points(points.reshape(10, 10, 3)).points, seen.points)
+    with pytest.raises(InputError, match=r"\(100, 6\); leave out what is no x, y, z: points\[:, :3\]"):
+        Observation.from_points(np.c_[points, points])
     points[5:20, 2] *= -1
     assert "camera frame" in Observation.from_points(points).warnings[0]
     with pytest.raises(InputError, match="behind the camera; turn z forward"):

@@ -10,7 +10,7 @@ from scipy.spatial import KDTree
 
 from omad.geometry.camera import STANDARD_CAMERA
 from omad.sensing.observation import Observation
-from omad.sensing.patches import APART, JUMP, SMALL, hanging
+from omad.sensing.cutting.patches import APART, JUMP, SMALL, hanging
 
 
 def hanging_by_scipy(points: np.ndarray, pixels: np.ndarray) -> np.ndarray:

@@ -20,6 +20,9 @@ from omad.sensing.observation import Observation
 from .detection.cutting import ObjectFinder
 from .detection.detector import Detector
 
+OF_VIEW = ("size", "depth", "points", "frame")
+"""Checks of what was seen, whatever the answer."""
+
 
 @dataclass(frozen=True)
 class Found:
@@ -138,7 +141,9 @@ class Solver:
         rows = zip(views, estimates, strict=True)
         found = []
         for view, estimate in rows:
-            checks = [*doubts(view, estimate, depth_scale), *contradictions(estimate), *of_all]
+            against = [*contradictions(estimate)]  # the object is elsewhere then, and the rest says nothing of the view
+            own = [check for check in doubts(view, estimate, depth_scale) if not against or check.name in OF_VIEW]
+            checks = [*against, *own, *of_all]
             found.append(Found.of(no_surer(estimate, view.likelihood), checks))
         return found
 

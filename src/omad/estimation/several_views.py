@@ -149,10 +149,8 @@ def one_answer(estimates: Sequence[Estimate], alone: Sequence[Estimate], shared:
     in common, ``shared`` from quite different sides. Where they are not most of the views it may as well be wrong, and
     so it may be in the frame of a view that contradicts it."""
     estimates = [replace(one, joints_alone=own.joints) for one, own in zip(estimates, alone, strict=True)]
-    against = [tuple(map(str, contradictions(estimate))) for estimate in estimates]
-    found = [(*estimate.warnings, *doubts) for estimate, doubts in zip(estimates, against, strict=True)]
-    agree = [estimate for estimate, doubts in zip(estimates, against, strict=True) if not doubts] or list(estimates)
-    warnings = tuple(f"view {number}: {warning}" for number, own in enumerate(found, 1) for warning in own)
+    against = [bool([*contradictions(estimate)]) for estimate in estimates]
+    agree = [estimate for estimate, other in zip(estimates, against, strict=True) if not other] or list(estimates)
     spreads = [[(joint.state_std, joint.tail) for joint in estimate.joints] for estimate in agree]
     std, tail = np.median(spreads, axis=0).T
     std *= _shrinkage(agree, shared)
@@ -160,14 +158,18 @@ def one_answer(estimates: Sequence[Estimate], alone: Sequence[Estimate], shared:
     told = [estimate.probability for estimate in agree if estimate.probability is not None]
     share = len(agree) / len(estimates) if any(against) else 1.0
     made = []
-    for estimate, doubts in zip(estimates, against, strict=True):
-        believed = min(share, 1 - share) if doubts else share if share <= 0.5 else 1.0
+    for estimate, other in zip(estimates, against, strict=True):
+        believed = min(share, 1 - share) if other else share if share <= 0.5 else 1.0
         probability = believed * float(np.quantile(told, 2 / 3)) if told else None
         sure = zip(estimate.joints, std.tolist(), tail.tolist(), strict=True)
         joints = tuple(replace(joint, state_std=own, tail=power) for joint, own, power in sure)
         base_std = estimate.base_std * np.repeat(size / _base_size(estimate), 3)
-        made.append(replace(estimate, warnings=warnings, joints=joints, base_std=base_std, probability=probability))
-    return made
+        made.append(replace(estimate, joints=joints, base_std=base_std, probability=probability))
+    # a view that contradicts the answer was last looked at where that has the object: of it counts what it says alone
+    rows = zip(made, alone, against, strict=True)
+    found = [(*map(str, contradictions(one)), *own.warnings) if other else one.warnings for one, own, other in rows]
+    warnings = tuple(f"view {number}: {warning}" for number, own in enumerate(found, 1) for warning in own)
+    return [replace(estimate, warnings=warnings) for estimate in made]
 
 
 def _base_size(estimate: Estimate) -> np.ndarray:

@@ -75,14 +75,12 @@ def is_picture(file: Path) -> bool:
 
 
 def _own_text(depth: Path) -> dict[str, Any]:
-    """``depth_scale`` where a PNG's text tells it, as a number where it is one."""
+    """``depth_scale`` where a PNG's text tells it."""
     told: Any = None
     if depth.suffix.lower() == ".png":
         unreadable = suppress(OSError, ValueError, SyntaxError, Image.DecompressionBombError)
         with unreadable, Image.open(depth, formats=["PNG"]) as image:
             told = image.info.get(SCALE)
-    with suppress(TypeError, ValueError):
-        told = float(told)
     return {} if told is None else {SCALE: told}
 
 

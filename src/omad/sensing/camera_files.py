@@ -15,6 +15,7 @@ from omad.geometry.camera import Camera
 from omad.geometry.lens import Distortion
 from omad.geometry.rigid import is_rotation
 
+from .colmap import COLMAP, camera_of_colmap, camera_of_nerf
 from .depth_files import SCALES, read_array
 
 WRONG = (TypeError, ValueError, KeyError, IndexError, OverflowError, AttributeError, RecursionError)
@@ -34,18 +35,6 @@ COEFFICIENTS = ("coeffs", "D", "d", "distortion_coefficients", "distortion_coeff
 """What lists of a lens's are called."""
 LENS, FISHEYE = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"), ("k1", "k2", "k3", "k4")
 """Coefficients by name, in OpenCV's order."""
-COLMAP = {
-    "SIMPLE_PINHOLE": "f cx cy",
-    "PINHOLE": "fx fy cx cy",
-    "SIMPLE_RADIAL": "f cx cy k1",
-    "RADIAL": "f cx cy k1 k2",
-    "OPENCV": "fx fy cx cy k1 k2 p1 p2",
-    "FULL_OPENCV": "fx fy cx cy k1 k2 p1 p2 k3 k4 k5 k6",
-    "OPENCV_FISHEYE": "fx fy cx cy k1 k2 k3 k4",
-}
-"""Its models, and what numbers of a line tell of each."""
-NERF = {"fl_x": "fx", "fl_y": "fy", "w": "width", "h": "height", "camera_model": "model"}
-"""Other names in a transforms.json of instant-ngp and Nerfstudio, whose models are COLMAP's."""
 SCALE = "depth_scale"
 YAML_CHARACTERS = 100_000
 """Which take a second to read."""
@@ -138,11 +127,14 @@ def _is_matrix(data: Any) -> bool:
 
 
 def scale_of(data: Any, name: str | Path) -> float | None:
-    """Metres per stored integer that a table tells. Open3D and TUM write how many integers are a metre, BOP how many
-    millimetres an integer is. Raises InputError."""
-    if not isinstance(data, dict) or SCALE not in data:
+    """Metres per stored integer that a table tells, itself or where it keeps the camera. Open3D and TUM write how many
+    integers are a metre, BOP how many millimetres an integer is. Raises InputError."""
+    tables = [table for table in (data, _inner(data)) if isinstance(table, dict) and SCALE in table]
+    if not tables:
         return None
-    told = data[SCALE]
+    told = tables[0][SCALE]
+    with suppress(ValueError):  # YAML takes 1e-4 for a word
+        told = float(told) if isinstance(told, str) else told
     if isinstance(told, bool) or not isinstance(told, int | float) or not SCALES[0] <= told <= SCALES[1]:
         raise InputError(f"{name}: {SCALE} is no number of metres; correct it, or give --depth-scale")
     return 1 / told if told > 1 else told / 1000 if told >= COARSEST else float(told)
@@ -172,7 +164,7 @@ def _inner(data: Any) -> Any:
     if not isinstance(data, dict):
         return data
     if "fl_x" in data:
-        return {NERF.get(key, key): value for key, value in data.items()}
+        return camera_of_nerf(data)
     names = ("intrinsic", "camera", "intrinsics", "depth", "cam0")
     return next((data[name] for name in names if isinstance(data.get(name), dict)), data)
 
@@ -237,9 +229,10 @@ def _read(path: Path, key: str) -> Any:
 
 
 def _parsed(content: str, name: str | Path) -> Any:
-    if (numbers := _numbers(content)) is not None:
+    plain = "\n".join(line for line in content.splitlines() if not line.lstrip().startswith("#"))
+    if (numbers := _numbers(plain)) is not None:
         return numbers
-    if (camera := _of_colmap(content, name)) is not None:
+    if (camera := camera_of_colmap(content, name)) is not None:
         return camera
     if content.lstrip().startswith("{"):  # YAML reads JSON too, but not the tabs that JSON allows
         return parse_json(content, name)
@@ -252,22 +245,6 @@ def _parsed(content: str, name: str | Path) -> Any:
         mark = getattr(error, "problem_mark", None)
         where = "" if mark is None else f" (line {mark.line + 1})"
         raise InputError(f"{name}: neither JSON, YAML nor numbers{where}; export it again") from error
-
-
-def _of_colmap(content: str, name: str | Path) -> dict[str, Any] | None:
-    """The camera of COLMAP's cameras.txt, whose image begins half a pixel before its first pixel's middle; None where
-    it is no such text. Raises InputError where it has several, or one of a model that is unknown."""
-    lines = [line.split() for line in content.splitlines() if line.strip() and not line.startswith("#")]
-    if not lines or len(lines[0]) < 7 or not (lines[0][0].isdecimal() and lines[0][1].isupper()):
-        return None
-    (_, model, *numbers), *others = lines
-    keys = COLMAP.get(model, "").split()
-    if others or len(numbers) != len(keys) + 2 or (values := _numbers(" ".join(numbers))) is None:
-        known = f"one line ID MODEL WIDTH HEIGHT and the model's numbers, the model of {', '.join(COLMAP)}"
-        raise InputError(f"{name}: not as COLMAP writes one camera; give {known}")
-    told = dict(zip(("width", "height", *keys), values.tolist(), strict=True))
-    told |= {axis: told["f"] for axis in ("fx", "fy") if "f" in told}
-    return told | {"model": model, "cx": told["cx"] - 0.5, "cy": told["cy"] - 0.5}
 
 
 class _PlainYaml(yaml.SafeLoader):
@@ -324,7 +301,8 @@ def _model_name(told: Any) -> str | None:
     name = str(told).strip().lower().removeprefix("rs2_").removeprefix("distortion").lstrip("._")
     if name.upper() in COLMAP:
         return "equidistant" if "fisheye" in name else "plumb_bob"
-    return {"fisheye": "equidistant", "radtan": "plumb_bob"}.get(name, name.replace(" ", "_").replace("-", "_")) or None
+    names = {"fisheye": "equidistant", "equi": "equidistant", "radtan": "plumb_bob"}
+    return names.get(name, name.replace(" ", "_").replace("-", "_")) or None
 
 
 def _find_rectified(data: dict[str, Any]) -> np.ndarray | None:

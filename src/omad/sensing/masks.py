@@ -231,8 +231,8 @@ def _annotation(coco: Mapping[str, Any], mask_id: int | None) -> Mapping[str, An
     chosen = [one for one, its in zip(found, numbered, strict=True) if mask_id in (None, its)]
     if len(chosen) != 1:
         ids = ", ".join(map(str, numbered[:LISTED])) + (", ..." if len(found) > LISTED else "")
-        told = f"{len(found)} with the ids {ids}; give mask_id (--mask-id), or one of them"
-        raise InputError(f'mask: "annotations" holds {told}')
+        cure = "give mask_id (--mask-id), or one of them" if mask_id is None else f"none of them is {mask_id}; give one"
+        raise InputError(f"mask: holds {len(found)} annotations with the ids {ids}; {cure}")
     images = coco.get("images", coco.get("image", ()))
     listed = images if isinstance(images, list) else [images]
     its = [one for one in listed if isinstance(one, Mapping) and one.get("id") == chosen[0].get("image_id")]

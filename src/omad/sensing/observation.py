@@ -203,7 +203,7 @@ class Observation:
     def without_strays(self) -> Self:
         """Without points that fly alone, and in an image without small patches that hang apart from the object. Raises
         NothingSeen where too few are left."""
-        from .patches import flying, hanging  # imports SciPy, which takes long
+        from .cutting.patches import flying, hanging  # imports SciPy, which takes long
 
         steady = self.part(~flying(self.points))
         if steady.depth is None or steady.pixels is None:
@@ -218,13 +218,15 @@ class Observation:
 
     @classmethod
     def from_points(cls, points: Any, segment: Segmentation | None = None, drop_flying: bool = False) -> Self:
-        """A cloud (N, 3) in metres, camera frame, or one of another package: ROS's PointCloud2, Open3D's PointCloud,
-        librealsense's points. Rows that are not finite or all zero mean no measurement. Of more
-        than ``MOST_POINTS`` rows every second counts, or third ... Raises InputError for a wrong shape, millimetres,
-        and for fewer than 50 points."""
+        """A cloud (N, 3) or (H, W, 3) in metres, camera frame, or one of another package: ROS's PointCloud2, Open3D's
+        PointCloud, librealsense's points. Rows that are not finite or all zero mean no measurement. Of more than
+        ``MOST_POINTS`` rows every second counts, or third ... Raises InputError for a wrong shape, millimetres, and for
+        fewer than 50 points."""
         cloud = _numbers(points_from(points), "points").astype(np.float64)
-        if cloud.ndim != 2 or cloud.shape[1] != 3:
-            raise InputError(f"points: expected shape (N, 3), got {cloud.shape}")
+        if cloud.ndim not in (2, 3) or cloud.shape[-1] != 3:
+            cure = "; leave out what is no x, y, z: points[:, :3]" if cloud.ndim == 2 and cloud.shape[1] > 3 else ""
+            raise InputError(f"points: expected shape (N, 3) or (H, W, 3), got {cloud.shape}{cure}")
+        cloud = cloud.reshape(-1, 3)
         cloud = cloud[np.isfinite(cloud).all(1) & cloud.any(1)]
         if len(cloud) < MIN_POINTS:
             raise NothingSeen(f"points: {len(cloud)} valid points, at least {MIN_POINTS} are needed")
@@ -312,7 +314,7 @@ def _check_camera(K: Any, shape: tuple[int, ...]) -> Camera:
             raise InputError(f"depth: is {width}x{height} but its camera {size}; use the image's own")
         return Camera.from_K(told.K, width, height, told.distortion)
     values = _numbers(K, "intrinsics", "pass a 3x3 matrix or (fx, fy, cx, cy)")
-    if values.shape not in ((4,), (9,), (3, 3)):
+    if values.shape not in ((4,), (9,), (3, 3), (3, 4), (4, 4)):
         raise InputError(f"intrinsics: expected a 3x3 matrix or (fx, fy, cx, cy), got shape {values.shape}")
     return Camera.from_K(as_K(values, "intrinsics"), width, height)
 

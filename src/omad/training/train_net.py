@@ -171,9 +171,9 @@ def train_net(
 ) -> OmadNet:
     """Train OMADNet on views of ``models``, from ``initial`` weights where given, or with what ``features`` knows of
     clouds, whose prior and category may be others; returns the averaged network. A few of the objects are held back, if
-    there are many: they tell how it goes, and what share of its own joint states shall be in answers, which otherwise is
-    that of ``initial``. Raises InputError
-    where the prior of ``initial`` has other keypoints: it would answer in another language."""
+    there are many: they tell how it goes, and what share of its own joint states shall be in answers; without them that
+    stays as ``initial`` has it. Raises InputError where the prior of ``initial`` has other keypoints: it would answer
+    in another language."""
     seen, held = split(models)
     bank = seeded_bank(seen, category, settings.schedule.seed, device)
     held_back = HeldBack.of(held, category, settings.views, device) if held else None
