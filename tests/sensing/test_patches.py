@@ -9,8 +9,8 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 from omad.geometry.camera import STANDARD_CAMERA
-from omad.sensing.observation import Observation
 from omad.sensing.cutting.patches import APART, JUMP, SMALL, hanging
+from omad.sensing.observation import Observation
 
 
 def hanging_by_scipy(points: np.ndarray, pixels: np.ndarray) -> np.ndarray:
