@@ -139,7 +139,8 @@ class Estimator:
         net = load(OmadNet, folder)
         confidence, surfaces = Confidence.load(folder, net.category), Surfaces.beside(folder, net.prior, net.category)
         estimator = cls(net, config, pick_device(device), refine, confidence, surfaces)
-        ways = net.backbone.config, net.tells_outside, net.category.either_hand, estimator.hand, estimator.answers.asked
+        hands = net.category.either_hand, bool(estimator.hand)
+        ways = net.backbone.config, net.tells_outside, hands, estimator.answers.asked
         settings = estimator.config, estimator.device.type, refine, ways
         compile_ahead(estimator.first_answers, estimator.category, settings)
         return estimator
