@@ -28,7 +28,7 @@ from scipy.special import log_softmax
 from omad.applications.detection.detector import Detection, Detector
 from omad.applications.detection.judgement import Judgement
 from omad.data.rendering.depth_noise import ON
-from omad.data.rendering.tabletop import Placed, Surroundings, Tabletop, draw_tabletop
+from omad.data.rendering.tabletop import Surroundings, Tabletop, TabletopObject, draw_tabletop
 from omad.estimation.categories.late import LateEstimator
 from omad.model.checkpoint import shipped_categories
 from omad.objects.category_file import get_category
@@ -81,7 +81,7 @@ def scenes(config: Config, kind: int, split: Literal["train", "test"]) -> Iterat
         yield draw_tabletop(categories, seed, split, ON, largest, surroundings=around)
 
 
-def shared(found: Detection, placed: Placed, scene: Tabletop) -> float:
+def shared(found: Detection, placed: TabletopObject, scene: Tabletop) -> float:
     """Pixels of both as a share of those of either."""
     mask, truth = found.observation.mask, placed.mask & (scene.depth > 0)
     assert mask is not None

@@ -17,7 +17,7 @@ from omad.common.errors import NothingSeen
 from omad.data.procedural import generate
 from omad.data.rendering.depth_noise import ON
 from omad.data.rendering.standard_views import standard_view
-from omad.data.rendering.tabletop import Placed, Tabletop, draw_tabletop
+from omad.data.rendering.tabletop import Tabletop, TabletopObject, draw_tabletop
 from omad.estimation.known import Known
 from omad.geometry.camera import STANDARD_CAMERA
 from omad.objects.category_file import get_category
@@ -41,13 +41,13 @@ def frame(index: int) -> Observation:
     return Observation.from_depth(drawn.depth, drawn.camera)
 
 
-def shared(seen: Observation, placed: Placed, measured: np.ndarray) -> float:
+def shared(seen: Observation, placed: TabletopObject, measured: np.ndarray) -> float:
     truth = placed.mask & measured
     assert seen.mask is not None
     return float((seen.mask & truth).sum() / (seen.mask | truth).sum())
 
 
-def box_around(placed: Placed) -> tuple[float, float, float, float]:
+def box_around(placed: TabletopObject) -> tuple[float, float, float, float]:
     """With a tenth of its size to every side, so that table and neighbours are in it."""
     rows, columns = np.nonzero(placed.mask)
     wide, high = 0.1 * np.ptp(columns), 0.1 * np.ptp(rows)

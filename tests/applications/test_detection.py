@@ -15,7 +15,7 @@ from omad.applications.detection.judgement import Judgement
 from omad.data.procedural import generate
 from omad.data.rendering.depth_noise import ON
 from omad.data.rendering.standard_views import standard_view
-from omad.data.rendering.tabletop import Placed, Surroundings, Tabletop, draw_tabletop
+from omad.data.rendering.tabletop import Surroundings, Tabletop, TabletopObject, draw_tabletop
 from omad.estimation.categories.fronts import front_says
 from omad.estimation.categories.late import LateEstimator
 from omad.geometry.camera import STANDARD_CAMERA
@@ -36,7 +36,7 @@ def answers(index: int) -> list[Detection]:
     return omad.detect(drawn.depth, drawn.camera, NAMES)
 
 
-def shared(found: Detection, placed: Placed) -> float:
+def shared(found: Detection, placed: TabletopObject) -> float:
     mask = found.observation.mask
     assert mask is not None
     return float((mask & placed.mask).sum() / (mask | placed.mask).sum())

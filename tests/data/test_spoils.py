@@ -26,7 +26,7 @@ from omad.data.rendering.spoils.scenes import (
     DISTANCES,
     FOCAL_LIMITS,
     OBJECT,
-    Scene,
+    SpoilScene,
     draw_scene,
     random_camera,
     scene_of,
@@ -47,7 +47,7 @@ def model(name: str = "laptop", index: int = 0) -> ObjectModel:
     return generate(CATEGORIES[name], index, "test")
 
 
-def scene(staging: Staging = AS_IT_IS, name: str = "laptop", index: int = 0) -> Scene:
+def scene(staging: Staging = AS_IT_IS, name: str = "laptop", index: int = 0) -> SpoilScene:
     return draw_scene(model(name, index), CATEGORIES[name], (0, index, 0), staging)
 
 

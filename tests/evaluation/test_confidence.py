@@ -24,7 +24,7 @@ from omad.estimation.confidence.model import Confidence, FittedTo, deviations
 from omad.estimation.confidence.signals import IMAGE, JOINT, WITHOUT_FRONT, WITHOUT_SURFACE, Signals
 from omad.evaluation.calibration import area_under_roc, expected_calibration_error
 from omad.evaluation.confidence import fitting, views
-from omad.evaluation.confidence.fitting import Answers, fit, measured
+from omad.evaluation.confidence.fitting import JudgedAnswers, fit, measured
 from omad.evaluation.confidence.views import HEAPS, OTHERS, examples
 from omad.model.checkpoint import find_weights
 
@@ -36,7 +36,7 @@ BASE = 0.6, 2.0
 
 def answers(
     seed: int, half_turned: float = 0.0, front: float = 0.0, surface: float = 0.0
-) -> tuple[Answers, np.ndarray]:
+) -> tuple[JudgedAnswers, np.ndarray]:
     """Answers whose errors are normal with a deviation that one signal tells, some of them ``half_turned`` where
     another one says so; and the true probabilities of being right, (N,), of which the ``front`` and the
     ``surface`` tell so much."""
@@ -51,7 +51,7 @@ def answers(
     right, least = rng.random(VIEWS) < likely, np.full((VIEWS, 1), np.exp(-3))
     wider = np.exp(0.35 * joint[:, 0, :1])  # half of the way, in logarithms, that a joint's deviation is wider
     base = np.abs(rng.normal(size=(VIEWS, 6))) * wider * np.repeat(BASE, 3)
-    return Answers(Signals(image, joint, np.zeros((VIEWS, 4))), errors[:, None], right, base, least), likely
+    return JudgedAnswers(Signals(image, joint, np.zeros((VIEWS, 4))), errors[:, None], right, base, least), likely
 
 
 @pytest.fixture(scope="module")
@@ -150,7 +150,7 @@ def test_it_is_learned_from_surfaces_where_they_lie_beside(
 ) -> None:
     seen = list[tuple[str, ...]]()
 
-    def answered(estimator: omad.Estimator, *_: object) -> Answers:
+    def answered(estimator: omad.Estimator, *_: object) -> JudgedAnswers:
         seen.append(tuple(estimator.answers.asked))
         raise InterruptedError
 

@@ -11,23 +11,23 @@ from omad.model.checkpoint import find_weights, load
 from omad.model.fitting.state import State
 from omad.model.omadnet import OmadNet
 from omad.model.surfaces.fitting import Cloud, FitConfig, SurfaceFit
-from omad.model.surfaces.following import Displacement, FollowConfig, followed
+from omad.model.surfaces.following import LENGTH, SIZE, Displacement, followed
 from omad.model.surfaces.placed import Placed, VisibleSurface
 from omad.model.surfaces.surfaces import Surfaces
 
 
 def test_a_displacement_is_the_mean_of_a_gaussian_process():
-    config, rng = FollowConfig(size=0.05, length=0.1), np.random.default_rng(0)
+    rng = np.random.default_rng(0)
     at, off, variances = rng.uniform(-0.2, 0.2, (12, 3)), rng.normal(0, 0.05, (12, 3)), rng.uniform(1e-4, 1e-2, 12)
-    move = Displacement.of(at, off, variances, config)
-    alone = Displacement.of(at[:1], off[:1], variances[:1], config)
-    share = config.size**2 / (config.size**2 + variances[0])
+    move = Displacement.of(at, off, variances)
+    alone = Displacement.of(at[:1], off[:1], variances[:1])
+    share = SIZE**2 / (SIZE**2 + variances[0])
     assert alone(at[:1]) - at[:1] == pytest.approx(share * off[:1])
     assert alone(at[:1] + 1.0) == pytest.approx(at[:1] + 1.0)  # many lengths away
     # by sequential conditioning: mean and covariance of all points, one measurement after the other
     points = np.concatenate([at, rng.uniform(-0.2, 0.2, (5, 3))])
     apart = np.square(points[:, None] - points).sum(2)
-    covariance, mean = config.size**2 * np.exp(-apart / (2 * config.length**2)), np.zeros((len(points), 3))
+    covariance, mean = SIZE**2 * np.exp(-apart / (2 * LENGTH**2)), np.zeros((len(points), 3))
     for k, variance in enumerate(variances):
         gain = covariance[:, k] / (covariance[k, k] + variance)
         mean = mean + gain[:, None] * (off[k] - mean[k])

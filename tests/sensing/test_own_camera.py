@@ -104,6 +104,19 @@ def test_what_the_colour_camera_cannot_see_is_left_out():
     assert 0 < box.sum() < chosen.sum()
 
 
+def test_a_box_of_the_colour_image_is_one_around_what_it_shows():
+    scene, truth = on_a_table()
+    rows, columns = np.nonzero(color_mask(cloud_of(np.where(truth, scene, 0))))
+    around = (columns.min(), rows.min(), columns.max() + 1, rows.max() + 1)
+    left, top, right, bottom = colour_camera().depth_box(scene, STANDARD_CAMERA, around)
+    inside = colour_camera().depth_mask(scene, STANDARD_CAMERA, None, around)
+    assert inside[top:bottom, left:right].sum() == inside.sum()
+    assert all(edge.any() for edge in (inside[top], inside[bottom - 1], inside[:, left], inside[:, right - 1]))
+    assert truth[top:bottom, left:right].sum() > 0.99 * truth.sum()
+    with pytest.raises(InputError, match=r"^box: .*colour image"):
+        colour_camera().depth_box(np.zeros_like(scene), STANDARD_CAMERA, around)
+
+
 @pytest.mark.filterwarnings("error")
 def test_what_is_infinitely_far_is_no_measurement_beside_a_colour_camera():
     depth = np.full((480, 640), 1.5)
@@ -317,6 +330,28 @@ def test_a_raw_frame_with_a_colour_mask_is_as_good_as_an_ideal_one(frame, capsys
     world = raw["world"]
     assert np.allclose(np.array(world["T_world_base"])[:3, 1], [0, 0, 1], atol=1e-6)  # upright, as told
     assert Path("omad-estimate/raw/estimate.html").is_file()
+
+
+@pytest.mark.slow
+def test_a_colour_camera_serves_frames_with_several_objects(frame, capsys):
+    """Through a lens, with a box drawn in the colour image."""
+    mask = np.asarray(Image.open("color-mask.png"))
+    rows, columns = np.nonzero(mask)
+    box = ",".join(map(str, (columns.min() - 5, rows.min() - 5, columns.max() + 5, rows.max() + 5)))
+    Image.fromarray(np.stack([mask, mask // 2, 255 - mask], 2)).save("color.png")
+    camera = [RAW[0], RAW[1], *RAW[4:], "--color", "color.png"]
+    everywhere = answer(capsys, "detect", "raw.png", "--categories", "laptop", *camera)
+    inside = answer(capsys, "detect", "raw.png", "--categories", "laptop", *camera, "--box", box)
+    aside = answer(capsys, "detect", "raw.png", "--categories", "laptop", *camera, "--box", "0,0,200,100")
+    alone = answer(capsys, "estimate", "raw.png", *LAPTOP, *camera, "--box", box)
+    [found] = [one for one in inside["objects"] if one["category"] == "laptop"]
+    assert found["box"] in [one["box"] for one in everywhere["objects"]]
+    assert not any(one["category"] == "laptop" for one in aside["objects"])
+    for joints in (found["estimate"]["joints"], alone["joints"]):
+        assert np.degrees(abs(joints[0]["state"] - laptop_view().states[0])) < 5
+    seen = np.asarray(Image.open("omad-detect/detect.png").convert("RGB")).reshape(-1, 3)
+    assert np.count_nonzero((seen == (0, 0, 255)).all(1)) > 1000  # what it shows around the object
+    assert "box" in refused(capsys, "detect", "raw.png", *camera, "--box", "1000,0,1001,1")
 
 
 @pytest.mark.slow

@@ -18,7 +18,7 @@ import omad
 from omad.common.errors import InputError, as_line, named
 from omad.common.files import check_folder, replacing, write_json
 from omad.common.lazy import lazy_imports
-from omad.sensing.input_options import FrameOptions, InputOptions
+from omad.sensing.input_options import CameraOptions, FrameOptions, InputOptions
 
 from .answer import Answer, state, state_and_std, table
 from .options import BUILT_IN, OWN, CategoriesCommand, CategoryCommand, Fast, ToSurface, check_positive, checkpoints
@@ -37,7 +37,7 @@ with lazy_imports():
     from omad.output.formats import check_formats, files_of_answer, save_formats
     from omad.output.page import save_html
     from omad.sensing.camera_files import read_transform
-    from omad.sensing.reader import InputReader, input_files, parse_numbers
+    from omad.sensing.reader import InputReader, input_files
 
 CHOICE = (
     f"{BUILT_IN}; auto: the likeliest are tried, with the one of --weights where these are given, and ranked by how"
@@ -239,16 +239,16 @@ class Detect(CategoriesCommand):
     """x1,y1,x2,y2 in pixels, half-open: objects are looked for inside."""
     depth_scale: float | None = None
     """Metres per stored number; default 0.001 for integer images, 1 for floats and clouds."""
+    camera: OmitArgPrefixes[CameraOptions] = CameraOptions()
     output: Path = Path("omad-detect")
     """Folder for detect.json and detect.png."""
 
     def run(self) -> Answer:
         check_positive(depth_scale=self.depth_scale)
         check_folder(self.output)
-        options = InputOptions(intrinsics=self.intrinsics, depth_scale=self.depth_scale)
-        reader = replace(InputReader.of(options, [self.input]), whole=True)
-        frame = reader(self.input)
-        corners = None if self.box is None else parse_numbers(self.box, 4, "--box")
+        options = InputOptions(intrinsics=self.intrinsics, box=self.box, depth_scale=self.depth_scale)
+        reader = InputReader.of(options, [self.input], FrameOptions(**vars(self.camera)))
+        frame, corners = reader.whole(self.input)
         began = time.perf_counter()
         detector = Detector(
             [LateEstimator.of(folder, self.device) for folder in checkpoints(self.weights, self.categories)]

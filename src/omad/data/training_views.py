@@ -24,7 +24,7 @@ from omad.objects.category import Category
 from .clutter.correlated_noise import add_correlated_noise
 from .clutter.outline import Grid
 from .clutter.settings import Clutter
-from .clutter.spoil import Scene, spoil
+from .clutter.spoil import SampledScene, spoil
 from .mesh_bank import MeshBank
 from .point_views import PosedSamples, look, pose, visible
 from .rendering.depth_noise import ON
@@ -113,7 +113,7 @@ def draw_views_of(
     seen &= _in_frame(points)
     seen &= ~_holes(points, centre, posed.radius, level, generator)
     if clutter is not None:
-        scene = Scene(points, seen, labels, centre, posed.radius, T_camera_base)
+        scene = SampledScene(points, seen, labels, centre, posed.radius, T_camera_base)
         points, seen, labels = spoil(scene, spoilt, clutter, len(category.parts), generator)
 
     # a random choice of the visible points; where there are too few, they repeat

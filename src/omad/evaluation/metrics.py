@@ -114,11 +114,11 @@ def summarise(errors: list[PoseErrors], diagonals: np.ndarray, category: Categor
     }
 
 
-def bootstrap_interval(values: np.ndarray, groups: np.ndarray, draws: int = 1000, seed: int = 0) -> tuple[float, float]:
-    """95 % interval of the mean of ``values`` (n,) when whole ``groups`` (n,) (objects) are resampled."""
+def bootstrap_interval(values: np.ndarray, groups: np.ndarray) -> tuple[float, float]:
+    """95 % interval of the mean of ``values`` (n,) when whole ``groups`` (n,) (objects) are resampled 1000 times."""
     names, counts = np.unique(groups, return_counts=True)
     means = np.array([values[groups == name].mean() for name in names])
-    picked = np.random.default_rng(seed).integers(0, len(names), (draws, len(names)))
+    picked = np.random.default_rng(0).integers(0, len(names), (1000, len(names)))
     resampled = (means[picked] * counts[picked]).sum(1) / counts[picked].sum(1)
     low, high = np.quantile(resampled, [0.025, 0.975]).tolist()
     return low, high

@@ -40,6 +40,15 @@ class ColourCamera:
         chosen[chosen] = self._inside(points, self._region(mask, box), CELL / camera.fx)
         return chosen
 
+    def depth_box(self, depth: np.ndarray, camera: Camera, box: Sequence[float]) -> list[float]:
+        """x1, y1, x2, y2, half-open, around what of ``depth`` lies inside the colour image's ``box``, as
+        ``depth_mask`` has it. Raises InputError where nothing does."""
+        inside = np.argwhere(self.depth_mask(depth, camera, None, box))
+        if not len(inside):
+            raise InputError("box: no depth was measured in it; it is one of the colour image")
+        (top, left), (bottom, right) = inside.min(0).tolist(), inside.max(0).tolist()
+        return [left, top, right + 1, bottom + 1]
+
     def seen_from_depth(self, depth: np.ndarray, camera: Camera, color: np.ndarray) -> np.ndarray:
         """(H, W, 3) of ``depth``'s pixels what the colour image shows where their points lie; black where it shows none
         of them, or there is no depth. Raises InputError where the image is of another size than its intrinsics."""

@@ -29,8 +29,8 @@ class InputOptions:
 
 
 @dataclass(frozen=True)
-class FrameOptions:
-    """Frames of one's own camera as they come: a lens, a mask drawn in the colour image, stray points."""
+class CameraOptions:
+    """A camera of one's own as it is: with a lens, and a colour camera beside it."""
 
     distortion: str | None = None
     """The depth camera's lens in place of what the file of --intrinsics tells: k1,k2,p1,p2,k3 as OpenCV orders them,
@@ -39,11 +39,17 @@ class FrameOptions:
     """Colour image, or a folder with one for each input, of the same name: shown under what is drawn. It lies on the
     depth image, or is that of --color-intrinsics. x.color.png beside x.png is found without."""
     color_intrinsics: str | None = None
-    """As --intrinsics, of the colour camera: --color, --mask and --box then belong to its image, and depth stays
+    """As --intrinsics, of the colour camera: --color, a mask and --box then belong to its image, and depth stays
     unaligned."""
     color_extrinsics: Path | None = None
     """T_color_depth, depth camera to colour camera in metres: 4x4 text or NPY, or JSON with rotation and translation
     as librealsense writes them."""
+
+
+@dataclass(frozen=True)
+class FrameOptions(CameraOptions):
+    """Frames of such a camera as they come: with stray points."""
+
     drop_flying: bool = False
     """Leave out stray points that fly between fore- and background, and small patches that hang apart from the
     object. Thin parts that are seen in pieces may go with them."""

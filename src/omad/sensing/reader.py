@@ -4,7 +4,7 @@ import os
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, Self
 
@@ -30,7 +30,7 @@ from .depth_files import (
     read_depth,
     read_mask,
 )
-from .input_options import FrameOptions, InputOptions
+from .input_options import CameraOptions, FrameOptions, InputOptions
 from .masks import as_mask
 from .observation import Observation
 
@@ -67,8 +67,8 @@ class InputReader:
     """The lens in place of the camera's own, as ``parse_distortion`` takes it."""
     find: Find | None = None
     """Cuts the object out of whole frames where nothing else says which it is but a box."""
-    whole: bool = False
-    """Frames are wanted whole: a mask that lies beside one says nothing."""
+    without_masks: bool = False
+    """A mask that lies beside a frame says nothing."""
 
     @classmethod
     def of(cls, options: InputOptions, files: list[Path], frame: FrameOptions = NO_FRAME) -> Self:
@@ -97,9 +97,20 @@ class InputReader:
         with named(file):
             return self._cloud(file) if is_cloud(file) else self._depth(file)
 
+    def whole(self, file: Path) -> tuple[Observation, Sequence[float] | None]:
+        """An input's whole frame, and the box in its pixels where there is one. Raises InputError with its name."""
+        boxes: list[Sequence[float] | None] = []
+
+        def keep(frame: Observation, box: Sequence[float] | None) -> Observation:
+            boxes.append(box)
+            return frame
+
+        return replace(self, find=keep, without_masks=True)(file), boxes[0]
+
     def _cloud(self, file: Path) -> Observation:
         if self.mask is not None or self.box is not None or self.mask_id is not None:
-            raise InputError("--mask and --box need a depth image; cut the cloud out, or use --segment plane")
+            cure = "cut the cloud out" if self.without_masks else "cut the cloud out, or use --segment plane"
+            raise InputError(f"--mask and --box need a depth image; {cure}")
         points = read_cloud(file) * (self.depth_scale or 1.0)
         if self.find is None or self.segment is not None:
             return Observation.from_points(points, self.segment, self.drop_flying)
@@ -123,7 +134,7 @@ class InputReader:
     def _mask(self, file: Path, beside: Beside) -> np.ndarray | None:
         if isinstance(self.mask, Path):
             return read_mask(_of_its_name(file, self.mask, "mask", MASK_FORMATS), self.mask_id)
-        told = self.whole or self.mask is not None or self.box is not None or self.segment is not None
+        told = self.without_masks or self.mask is not None or self.box is not None or self.segment is not None
         if not told and (own := beside.mask or (file if holds_mask(file) else None)):
             return read_mask(own, self.mask_id)
         self.check_mask_id()
@@ -184,7 +195,9 @@ class InputReader:
             mask = as_mask(mask, self.mask_id)
         if self.colour is not None:
             color = None if color is None else self.colour.seen_from_depth(depth, whole, color)
-            if mask is not None or box is not None:
+            if mask is None and box is not None and self.find is not None and self.segment is None:
+                box = self.colour.depth_box(depth, whole, box)
+            elif mask is not None or box is not None:
                 mask, box = self.colour.depth_mask(depth, whole, mask, box), None
         if self.find is None or mask is not None or self.segment is not None:
             return Observation.from_depth(depth, whole, mask, box, self.segment, self.drop_flying, color=color)
@@ -243,7 +256,7 @@ def _of_its_name(file: Path, folder: Path, what: str, formats: Sequence[str]) ->
     return found[0]
 
 
-def _colour_camera(frame: FrameOptions, region: bool) -> ColourCamera | None:
+def _colour_camera(frame: CameraOptions, region: bool) -> ColourCamera | None:
     intrinsics, extrinsics = frame.color_intrinsics, frame.color_extrinsics
     if intrinsics is None and extrinsics is None:
         return None

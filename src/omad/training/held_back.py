@@ -39,7 +39,7 @@ def split(models: Sequence[M]) -> tuple[list[M], list[M]]:
 
 
 @dataclass(frozen=True)
-class Answers:
+class HeldBackAnswers:
     """To B views, camera frame and category units."""
 
     own: State
@@ -63,7 +63,7 @@ class HeldBack:
         return cls(draw_views(bank, category, 64, replace(settings, clutter=None), Generator(device).manual_seed(1)))
 
     @torch.no_grad()
-    def answers(self, net: OmadNet) -> Answers:
+    def answers(self, net: OmadNet) -> HeldBackAnswers:
         """By two looks, as the estimator has them."""
         limits = torch.tensor([joint.limits for joint in net.category.joints]).to(self.views.states)
         refiner, frame, start = Refiner(net.prior, limits), first_frame(self.views.points), None
@@ -73,7 +73,7 @@ class HeldBack:
             own = State(said.beta, said.states, frame @ said.T_input_base)
             refined = refiner(targets, start or refiner.with_fitted_pose(targets, own))
             start, frame = refined.state, refined.state.T_camera_base
-        return Answers(own, refined, targets)
+        return HeldBackAnswers(own, refined, targets)
 
     def errors(self, net: OmadNet) -> dict[str, float]:
         """Median errors of joint states, the network's own and refined, by what they are measured in."""
@@ -97,5 +97,5 @@ class HeldBack:
         return best if error(best) < BETTER * error(0.0) else 0.0
 
 
-def _states(answers: Answers, net: OmadNet, share: float) -> Tensor:
+def _states(answers: HeldBackAnswers, net: OmadNet, share: float) -> Tensor:
     return leaning(answers.refined, answers.own.joint_states, share, net.prior, answers.targets).state.joint_states

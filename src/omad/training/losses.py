@@ -32,12 +32,12 @@ def surface_loss(keypoints: Tensor, parts: Sequence[slice], clouds: Sequence[Ten
     return torch.cat([nearest(keypoints[:, of], cloud) for of, cloud in zip(parts, clouds, strict=True)], 1).mean()
 
 
-def coverage_loss(keypoints: Tensor, parts: Sequence[slice], low: Tensor, high: Tensor, beta: float = 0.1) -> Tensor:
+def coverage_loss(keypoints: Tensor, parts: Sequence[slice], low: Tensor, high: Tensor) -> Tensor:
     """Keypoints of a part should span its box (``low``, ``high``: (B, K, 3)); plain and relative form averaged."""
     low_k, high_k = part_boxes([keypoints[:, of] for of in parts])
     size = (high - low).clamp(min=0.02)
     size_k = (high_k - low_k).clamp(min=1e-3)
-    off = partial(smooth_l1_loss, beta=beta)
+    off = partial(smooth_l1_loss, beta=0.1)
     plain = off(high_k, high) + off(low_k, low)
     relative = off(high_k / size, high / size) + off(low_k / size, low / size) + off(size_k.log(), size.log())
     return (plain + relative) / 2

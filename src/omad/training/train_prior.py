@@ -29,6 +29,10 @@ FOLLOWED = 512
 LOOSE = 2
 """Loose numbers of beta, where any joint turns: across one axis there are no more directions, and the hinges of one
 object are off alike."""
+STRETCHES = 8
+"""Times that each object is stretched, of which basis and joint function are made."""
+JOINT_STEPS = 1500
+"""Of the joint function, once the basis is there."""
 
 
 @dataclass(frozen=True)
@@ -144,7 +148,7 @@ def prior_error(net: PriorNet, bank: SurfaceBank) -> dict[str, float]:
 
 
 def stretched_objects(
-    nodes: Tensor, bank: SurfaceBank, scale: tuple[float, float], draws: int = 8
+    nodes: Tensor, bank: SurfaceBank, scale: tuple[float, float], draws: int = STRETCHES
 ) -> tuple[Tensor, Joints]:
     """The objects of a bank, whose ``nodes`` (N, M, 3) are, each stretched ``draws`` times along the canonical axes:
     nodes (N draws, M, 3) and joints. Always the same."""
@@ -154,18 +158,16 @@ def stretched_objects(
     return nodes.repeat(draws, 1, 1) * stretch[:, None], joints
 
 
-def finish_prior(
-    prior: OmadPrior, nodes: Tensor, bank: SurfaceBank, scale: tuple[float, float], draws: int = 8, steps: int = 1500
-) -> None:
+def finish_prior(prior: OmadPrior, nodes: Tensor, bank: SurfaceBank, scale: tuple[float, float]) -> None:
     """Once the nodes correspond, make the prior the best that they allow.
 
     The basis becomes the best linear one of its size (truncated SVD of all nodes, each object stretched at least
-    ``draws`` times; half the error of the basis that taught the nodes), scaled so that every beta has mean square
+    ``STRETCHES`` times; half the error of the basis that taught the nodes), scaled so that every beta has mean square
     one; the joint function is fitted to the betas of that basis; mean and covariance of beta are taken; how the true
     pivots lie off that function becomes what the loose numbers of beta move.
     """
     size, device, generator = prior.shape_size, nodes.device, torch.Generator().manual_seed(1)
-    draws = max(draws, -(-2 * size // len(nodes)))  # so that one object is enough
+    draws = max(STRETCHES, -(-2 * size // len(nodes)))  # so that one object is enough
     stretched, objects = stretched_objects(nodes, bank, scale, draws)
     count = len(stretched)
     _, singular, directions = torch.linalg.svd(stretched.flatten(1), full_matrices=False)
@@ -180,8 +182,8 @@ def finish_prior(
 
     layers = nn.ModuleList([prior.joint_hidden, prior.joint_out]).requires_grad_(True)
     optimizer = torch.optim.Adam(layers.parameters(), lr=3e-3)
-    decay = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, steps)
-    for _ in range(steps):
+    decay = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, JOINT_STEPS)
+    for _ in range(JOINT_STEPS):
         chosen = torch.randint(count, (256,), generator=generator).to(device)
         joints = prior.joints(beta[chosen])
         loss = joint_loss(joints.axes, joints.pivots, objects.axes[chosen], objects.pivots[chosen], prior.turning)

@@ -16,13 +16,15 @@ GREY = np.array([0.55, 0.55, 0.55])
 
 
 def figure(frame: Observation, detections: Sequence[Detection], title: str = "") -> Figure:
-    """Two panels: the frame with each thing in its colour (grey: of no category), its number and category; and the
-    estimated objects where they are."""
+    """Two panels: the frame, or what the colour camera saw of it, with each thing in its colour (grey: of no category),
+    its number and category; and the estimated objects where they are."""
     camera = frame.camera or camera_around(frame.points)
     fig, grid = blank_panels(1, 2, (15, 6.2))
     seen, estimated = grid.ravel()
     if frame.depth is None:
         draw_points(seen, camera, frame.points, np.array([0.8, 0.8, 0.8]))
+    elif frame.color is not None:
+        seen.imshow(frame.color)
     else:
         near, far = frame.depth_range
         seen.imshow(np.where(frame.depth > 0, frame.depth, np.nan), cmap="gray_r", vmin=near, vmax=far + 1e-6)

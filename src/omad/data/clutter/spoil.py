@@ -19,7 +19,7 @@ LEFT = 0.35
 
 
 @dataclass(frozen=True)
-class Scene:
+class SampledScene:
     """Samples of B posed objects, S each, before the camera."""
 
     points: Tensor
@@ -43,7 +43,7 @@ class Scene:
 
 
 def spoil(
-    scene: Scene, spoilt: Tensor, clutter: Clutter, outside: int, generator: torch.Generator
+    scene: SampledScene, spoilt: Tensor, clutter: Clutter, outside: int, generator: torch.Generator
 ) -> tuple[Tensor, Tensor, Tensor]:
     """One point a cell, (B, CELLS^2, 3), whether it is there, and its label, ``outside`` where it is not on the object.
     Views that are not ``spoilt`` (B,) keep what is seen of them."""

@@ -106,7 +106,6 @@ def slab(
     axis: int,
     radius: float,
     bevel: float = 0.0,
-    segments: int = 3,
 ) -> Mesh:
     """Box whose four edges along ``axis`` are rounded by ``radius`` and whose two faces across it are bevelled."""
     lo, hi = np.asarray(low, float), np.asarray(high, float)
@@ -115,7 +114,7 @@ def slab(
     start, end = lo[axis], hi[axis]
     bevel = float(np.clip(bevel, 0.0, 0.45 * (end - start)))
     levels = [(start, bevel), (start + bevel, 0.0), (end - bevel, 0.0), (end, bevel)][:: 1 if bevel else 3]
-    outlines = [rounded_rectangle(width - 2 * inset, height - 2 * inset, radius, segments) for _, inset in levels]
+    outlines = [rounded_rectangle(width - 2 * inset, height - 2 * inset, radius, 3) for _, inset in levels]
     rings = [np.insert(outline + centre, axis, z, 1) for outline, (z, _) in zip(outlines, levels, strict=True)]
     return loft(np.stack(rings))
 

@@ -47,7 +47,7 @@ ROOM = 10.0
 
 
 @dataclass(frozen=True)
-class Placed:
+class TabletopObject:
     """One object where it stands."""
 
     category: str | None
@@ -72,7 +72,7 @@ class Tabletop:
     depth: np.ndarray
     """(H, W) float32 metres, 0 = no measurement."""
     camera: Camera
-    objects: tuple[Placed, ...]
+    objects: tuple[TabletopObject, ...]
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,6 @@ def draw_tabletop(
     split: Literal["train", "test"] = "test",
     noise: NoiseLevel | None = None,
     largest: float = np.inf,
-    camera: Camera = STANDARD_CAMERA,
     surroundings: Surroundings | None = None,
 ) -> Tabletop:
     """Objects of ``categories`` beside boxes and cans on a board that fills the image, or in other ``surroundings``;
@@ -126,7 +125,7 @@ def draw_tabletop(
     everything = np.concatenate([mesh.vertices for mesh in placed])
     [aside] = rng.spawn(1)  # the same objects and view in all surroundings
     around = _board(everything) if surroundings is None else _room(everything, surroundings, aside)
-    return _seen(things, placed, around, camera, noise, rng)
+    return _seen(things, placed, around, noise, rng)
 
 
 def _of_category(name: str, split: Literal["train", "test"], largest: float, rng: np.random.Generator) -> _Thing:
@@ -198,13 +197,9 @@ def _room(points: np.ndarray, surroundings: Surroundings, rng: np.random.Generat
 
 
 def _seen(
-    things: Sequence[_Thing],
-    placed: Sequence[Mesh],
-    around: Mesh,
-    camera: Camera,
-    noise: NoiseLevel | None,
-    rng: np.random.Generator,
+    things: Sequence[_Thing], placed: Sequence[Mesh], around: Mesh, noise: NoiseLevel | None, rng: np.random.Generator
 ) -> Tabletop:
+    camera = STANDARD_CAMERA
     everything = np.concatenate([mesh.vertices for mesh in placed])
     pose = _framing(everything, camera, rng.uniform(*ELEVATION), rng.uniform(-0.15, 0.15) * np.pi)
     shown = around.carried(pose)
@@ -218,7 +213,7 @@ def _seen(
     for number, (thing, layer) in enumerate(zip(things, alone, strict=True), 1):
         mask = merged.labels == number
         share = np.count_nonzero(mask) / max(np.count_nonzero(layer.depth), 1)
-        objects.append(Placed(thing.category, mask, thing.states, share))
+        objects.append(TabletopObject(thing.category, mask, thing.states, share))
     return Tabletop(add_noise(merged.depth, noise, camera, rng, merged.cos_view), camera, tuple(objects))
 
 

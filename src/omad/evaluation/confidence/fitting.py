@@ -52,7 +52,7 @@ Loss = Callable[[Tensor, Tensor], Tensor]
 
 
 @dataclass(frozen=True)
-class Answers:
+class JudgedAnswers:
     """What an estimator said of N views."""
 
     signals: Signals
@@ -81,7 +81,7 @@ def check_views(views: int) -> None:
         raise InputError(f"{said}; give more, from {needed} on")
 
 
-def answered(estimator: Estimator, models: Sequence[ObjectModel], views: int, seed: int) -> Answers:
+def answered(estimator: Estimator, models: Sequence[ObjectModel], views: int, seed: int) -> JudgedAnswers:
     """The estimator's answers to so many views of the ``models``, and of other things."""
     category = estimator.category
     found = [
@@ -90,10 +90,10 @@ def answered(estimator: Estimator, models: Sequence[ObjectModel], views: int, se
     ]
     signals = Signals.joined([one.signals for one in found])
     keys = ("errors", "right", "base", "least")
-    return Answers(signals, *(np.concatenate([getattr(one, key) for one in found]) for key in keys))
+    return JudgedAnswers(signals, *(np.concatenate([getattr(one, key) for one in found]) for key in keys))
 
 
-def _answer(estimator: Estimator, shown: Sequence[Example]) -> Answers:
+def _answer(estimator: Estimator, shown: Sequence[Example]) -> JudgedAnswers:
     category = estimator.category
     estimates = estimator([example.observation() for example in shown])
     errors, right = np.full((len(shown), len(category.joints)), np.nan), np.zeros(len(shown), dtype=bool)
@@ -106,7 +106,7 @@ def _answer(estimator: Estimator, shown: Sequence[Example]) -> Answers:
             right[number] = found.right(category, truth.diagonal)
             base[number] = base_errors(estimate.T_camera_base, example.view.T_camera_base)
     signals = Signals.joined([estimate.signals for estimate in estimates])
-    return Answers(signals, errors, right, base / base_std(covariance), state_std(covariance, category))
+    return JudgedAnswers(signals, errors, right, base / base_std(covariance), state_std(covariance, category))
 
 
 def base_errors(found: np.ndarray, true: np.ndarray) -> np.ndarray:
@@ -115,7 +115,7 @@ def base_errors(found: np.ndarray, true: np.ndarray) -> np.ndarray:
     return np.abs(np.concatenate([turned, found[:3, 3] - true[:3, 3]]))
 
 
-def fit(answers: Answers, category: Category, fitted_to: FittedTo) -> Confidence:
+def fit(answers: JudgedAnswers, category: Category, fitted_to: FittedTo) -> Confidence:
     """Raises InputError where there is too little to learn from."""
     mine = answers.of_category
     if mine.sum() < FEWEST:
@@ -131,20 +131,20 @@ def fit(answers: Answers, category: Category, fitted_to: FittedTo) -> Confidence
     return replace(found, base=base_multiples(found, answers, category))
 
 
-def base_multiples(confidence: Confidence, answers: Answers, category: Category) -> tuple[float, float]:
+def base_multiples(confidence: Confidence, answers: JudgedAnswers, category: Category) -> tuple[float, float]:
     """``Confidence.base``: such that as many errors are below one deviation as of normal ones."""
     turned, moved = np.nanquantile(_base_off(confidence, answers, category), WITHIN_ONE, axis=(0, 2)).round(3).tolist()
     return turned, moved
 
 
-def _base_off(confidence: Confidence, answers: Answers, category: Category) -> np.ndarray:
+def _base_off(confidence: Confidence, answers: JudgedAnswers, category: Category) -> np.ndarray:
     """(N, 2, 3) the errors of the base's rotation and translation in views of the category, in deviations."""
     told, _ = confidence.spreads(answers.signals, category)
     off = answers.base / confidence.base_spreads(np.ones((len(told), 6)), answers.least, told)
     return off[answers.of_category].reshape(-1, 2, 3)
 
 
-def measured(confidence: Confidence, answers: Answers, category: Category) -> dict[str, Any]:
+def measured(confidence: Confidence, answers: JudgedAnswers, category: Category) -> dict[str, Any]:
     """How well it keeps its word on ``answers``: shares of joint states in their intervals and of errors of the base
     below one deviation, and of the probability."""
     mine, told = answers.of_category, confidence.probabilities(answers.signals)
@@ -173,7 +173,7 @@ def fit_errors(inputs: np.ndarray, errors: np.ndarray) -> Perceptron:
     return replace(found, straight=straight)
 
 
-def _right(answers: Answers, image: tuple[str, ...]) -> tuple[Perceptron, float]:
+def _right(answers: JudgedAnswers, image: tuple[str, ...]) -> tuple[Perceptron, float]:
     """``Confidence.right`` by so much of ``IMAGE``, and its mean log loss on what is left out of a fit."""
     inputs, right = image_inputs(answers.signals.known_by(image)), answers.right
     share = (right.sum() + 1) / (len(right) + 2)

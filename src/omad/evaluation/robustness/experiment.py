@@ -11,7 +11,7 @@ from omad.common.batches import batched, progress
 from omad.common.errors import InputError
 from omad.data.procedural import GENERATORS, generate
 from omad.data.rendering.rasteriser import NOTHING
-from omad.data.rendering.spoils.scenes import Scene, draw_scene, scene_of
+from omad.data.rendering.spoils.scenes import SpoilScene, draw_scene, scene_of
 from omad.data.rendering.spoils.spoil import Spoil, Staging
 from omad.data.rendering.spoils.spoiling import spoilt, within_range
 from omad.data.rendering.standard_views import View, observe_all, standard_view, true_pose, view_seed
@@ -32,7 +32,7 @@ BATCH = 64
 LEVELS = (50, 90)
 """Per cent, of the intervals."""
 
-Scenes = Callable[[int, Staging], Scene | None]
+Scenes = Callable[[int, Staging], SpoilScene | None]
 """Scene ``index`` staged so; None where it cannot be."""
 
 
@@ -60,7 +60,7 @@ def scenes_from(source: ViewSource, category: Category, seed: int) -> Scenes:
     """Scenes of a source's models; of its images where it has no models, each with its own mask."""
     if source.models:
 
-        def draw(index: int, staging: Staging) -> Scene | None:
+        def draw(index: int, staging: Staging) -> SpoilScene | None:
             drawn = view_seed(index, len(source.models), seed)
             try:
                 return draw_scene(source.models[drawn[1]], category, drawn, staging)
@@ -89,7 +89,7 @@ def measure(
 
 def _spoilt_views(scenes: Scenes, total: int, rows: Mapping[str, Row]) -> Iterator[tuple[str, int, View | None]]:
     for index in range(total):
-        staged: dict[Staging, Scene | None] = {}
+        staged: dict[Staging, SpoilScene | None] = {}
         for name, row in rows.items():
             staging = row.spoil.staging
             if staging not in staged:

@@ -20,18 +20,13 @@ from .fitting import SurfaceFit
 from .placed import Floats, Placed, VisibleSurface
 from .template import Template
 
-
-@dataclass(frozen=True)
-class FollowConfig:
-    """How a surface follows a cloud; lengths in category units."""
-
-    steps: int = 3
-    size: float = 0.05
-    """Standard deviation of a displacement."""
-    length: float = 0.1
-    """Over which displacements are alike."""
-    robust: float = 0.12
-    """Pairs farther apart hardly count."""
+STEPS = 3
+SIZE = 0.05
+"""Standard deviation of a displacement, category units."""
+LENGTH = 0.1
+"""Over which displacements are alike, category units."""
+ROBUST = 0.12
+"""Pairs farther apart, category units, hardly count."""
 
 
 @dataclass(frozen=True)
@@ -42,25 +37,24 @@ class Displacement:
     """(P, 3)"""
     weights: Floats
     """(P, 3)"""
-    config: FollowConfig
 
     @classmethod
-    def of(cls, at: Floats, off: Floats, variances: Floats, config: FollowConfig) -> Displacement:
+    def of(cls, at: Floats, off: Floats, variances: Floats) -> Displacement:
         """That moves points ``at`` (P, 3) by ``off`` (P, 3), as far as ``variances`` (P,) hold it to that."""
-        weights = np.linalg.solve(_kernel(at, at, config) + np.diag(variances), off)
-        return cls(at, weights.astype(np.float64), config)
+        weights = np.linalg.solve(_kernel(at, at) + np.diag(variances), off)
+        return cls(at, weights.astype(np.float64))
 
     def __call__(self, points: Floats) -> Floats:
         """Where points (N, 3) are then."""
-        return points + _kernel(points, self.at, self.config) @ self.weights
+        return points + _kernel(points, self.at) @ self.weights
 
 
-def followed(fit: SurfaceFit, placed: Placed, template: Template, config: FollowConfig | None = None) -> list[Mesh]:
+def followed(fit: SurfaceFit, placed: Placed, template: Template) -> list[Mesh]:
     """Each part of a ``placed`` template, canonical space at rest, displaced to where the cloud is."""
-    config, seen = config or FollowConfig(), fit.visible(placed, template)
-    moved, displaced = seen, {}
-    for _ in range(config.steps):
-        displaced = _displacements(fit, seen, moved, config)
+    seen = fit.visible(placed, template)
+    moved, displaced = seen, dict[int, Displacement]()
+    for _ in range(STEPS):
+        displaced = _displacements(fit, seen, moved)
         now = seen.points.copy()
         for part, move in displaced.items():
             own = seen.parts == part
@@ -73,9 +67,7 @@ def followed(fit: SurfaceFit, placed: Placed, template: Template, config: Follow
     return meshes
 
 
-def _displacements(
-    fit: SurfaceFit, seen: VisibleSurface, moved: VisibleSurface, config: FollowConfig
-) -> dict[int, Displacement]:
+def _displacements(fit: SurfaceFit, seen: VisibleSurface, moved: VisibleSurface) -> dict[int, Displacement]:
     """From the surface that is ``seen`` to the cloud, by part, with pairs of where it was ``moved`` to, within
     a part; none of parts without any."""
     pairs = fit.pairs(moved)
@@ -83,15 +75,15 @@ def _displacements(
         return {}
     cloud, surface = (np.concatenate(each) for each in zip(*((p.points, p.surface) for p in pairs), strict=True))
     far = [fit.cloud.points[each.points] - moved.points[each.surface] for each in pairs]
-    known = [each.precision(off, fit.config.noise, config.robust) for each, off in zip(pairs, far, strict=True)]
+    known = [each.precision(off, fit.config.noise, ROBUST) for each, off in zip(pairs, far, strict=True)]
     at, to, variances = seen.points[surface], fit.cloud.points[cloud], 1 / np.concatenate(known)
     parts, same = seen.parts[surface], fit.cloud.labels[cloud] == seen.parts[surface]
     rows = {int(part): same & (parts == part) for part in np.unique(parts[same])}
-    return {part: Displacement.of(at[own], to[own] - at[own], variances[own], config) for part, own in rows.items()}
+    return {part: Displacement.of(at[own], to[own] - at[own], variances[own]) for part, own in rows.items()}
 
 
-def _kernel(a: Floats, b: Floats, config: FollowConfig) -> Floats:
+def _kernel(a: Floats, b: Floats) -> Floats:
     """(N, P) of points (N, 3) and (P, 3)."""
     from scipy.spatial.distance import cdist  # slow to import
 
-    return config.size**2 * np.exp(cdist(a, b, "sqeuclidean") / (-2 * config.length**2))
+    return SIZE**2 * np.exp(cdist(a, b, "sqeuclidean") / (-2 * LENGTH**2))

@@ -34,7 +34,7 @@ HIDES = 0.002
 
 
 @dataclass(frozen=True)
-class Scene:
+class SpoilScene:
     """Exact images and their truth."""
 
     truth: ObjectTruth
@@ -64,7 +64,7 @@ def random_camera(rng: np.random.Generator) -> Camera:
     return Camera(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
 
 
-def draw_scene(model: ObjectModel, category: Category, seed: Sequence[int], staging: Staging) -> Scene:
+def draw_scene(model: ObjectModel, category: Category, seed: Sequence[int], staging: Staging) -> SpoilScene:
     """``model`` at random joint states, staged; the same for the same ``seed`` (any non-negative integers). With the
     default staging it is the standard view of that seed. Raises InputError for an object that cannot be seen."""
     rng = np.random.default_rng(list(seed))
@@ -82,10 +82,10 @@ def draw_scene(model: ObjectModel, category: Category, seed: Sequence[int], stag
         rendering = render(model, drawn.states, moved, camera)
     truth = ObjectTruth.of(model)
     around = _around(staging, outline, moved, rendering, camera, rng, category)
-    return Scene(truth, drawn.states, moved, camera, tuple(seed), rendering, around)
+    return SpoilScene(truth, drawn.states, moved, camera, tuple(seed), rendering, around)
 
 
-def scene_of(view: View, category: Category, staging: Staging) -> Scene | None:
+def scene_of(view: View, category: Category, staging: Staging) -> SpoilScene | None:
     """A view that is there already: its mask and what its frame shows beside the object stay; where that is nothing, it
     is given surroundings. None where the staging asks for another viewpoint or camera, or nothing of the object is
     seen."""
@@ -99,7 +99,7 @@ def scene_of(view: View, category: Category, staging: Staging) -> Scene | None:
         rng = np.random.default_rng([*view.seed, 1])
         outline, pose = _part_corners(view, category), view.T_camera_base
         around = _around(staging, outline, pose, thing, view.camera, rng, category)
-    return Scene(view.truth, view.states, view.T_camera_base, view.camera, view.seed, thing, around, view.mask)
+    return SpoilScene(view.truth, view.states, view.T_camera_base, view.camera, view.seed, thing, around, view.mask)
 
 
 def _layer(depth: np.ndarray, shown: np.ndarray, labels: np.ndarray) -> Rendering:

@@ -17,7 +17,7 @@ from ..standard_views import MIN_PIXELS, View
 from .depths import blotted, patched, wavy
 from .masks import grown, shifted, with_rim
 from .occluders import occluder
-from .scenes import FIRST_OTHER, OBJECT, Scene, draw_scene, in_front
+from .scenes import FIRST_OTHER, OBJECT, SpoilScene, draw_scene, in_front
 from .spoil import Spoil, random_spoil
 
 ATTEMPTS = 100
@@ -45,7 +45,7 @@ class SpoiltView:
     measured."""
 
 
-def spoilt(scene: Scene, spoil: Spoil) -> SpoiltView:
+def spoilt(scene: SpoilScene, spoil: Spoil) -> SpoiltView:
     """The scene's view, spoilt; the same for the same arguments. Joint states and pose are the scene's."""
 
     def rng(step: _Step) -> np.random.Generator:
@@ -73,7 +73,7 @@ def spoilt(scene: Scene, spoil: Spoil) -> SpoiltView:
     return SpoiltView(view, instances)
 
 
-def within_range(scene: Scene, spoil: Spoil) -> bool:
+def within_range(scene: SpoilScene, spoil: Spoil) -> bool:
     """Whether the object is as far off as the spoil's camera works."""
     if spoil.noise not in SENSORS:
         return True
@@ -97,7 +97,7 @@ def cluttered(model: ObjectModel, category: Category, seed: Sequence[int]) -> tu
 
 
 def _shown(
-    scene: Scene, spoil: Spoil, rng: Callable[[_Step], np.random.Generator]
+    scene: SpoilScene, spoil: Spoil, rng: Callable[[_Step], np.random.Generator]
 ) -> tuple[Rendering, np.ndarray, np.ndarray, np.ndarray]:
     """The exact image; of it part labels, instances, and the mask with what it takes in of an occluder."""
     exact = in_front(scene.thing, scene.around)

@@ -37,7 +37,7 @@ class KernelPrior(NamedTuple):
     out_bias: np.ndarray  # (6 J,) the spec's axes included
 
 
-class Placed(NamedTuple):
+class PlacedPrior(NamedTuple):
     """One object where it is: buffers that ``place`` fills."""
 
     hidden: np.ndarray  # (H,) of the joint function, after its ReLU
@@ -74,7 +74,7 @@ def kernel_prior(prior: OmadPrior) -> KernelPrior:
 def buffers(c):
     """For ``place``."""
     J, M, H = len(c.parents), c.basis.shape[2], len(c.hidden_bias)
-    return Placed(
+    return PlacedPrior(
         np.empty(H), np.empty((J, 3)), np.empty(J), np.empty((J, 3)), np.empty((J + 1, 3, 3)), np.empty((J + 1, 3)),
         np.empty((J, 3)), np.empty((J, 3)), np.empty((3, M)), np.empty((3, M)),
     )  # fmt: skip
