@@ -10,7 +10,16 @@ import numpy as np
 from omad.common.errors import InputError
 from omad.estimation.categories.late import AnyEstimator
 from omad.estimation.categories.ranking import Ranking, rank, suspected
-from omad.estimation.checks import Check, believed, camera_doubts, doubts, gravity_doubts, is_doubtful, no_surer
+from omad.estimation.checks import (
+    Check,
+    believed,
+    camera_doubts,
+    doubts,
+    gravity_doubts,
+    if_also,
+    is_doubtful,
+    no_surer,
+)
 from omad.estimation.estimate import Estimate
 from omad.estimation.estimator import Estimator
 from omad.estimation.known import NOTHING_KNOWN, Known
@@ -91,7 +100,7 @@ class Solver:
             first = ranking.candidates[0]
             own = next(one for one in self.all if one.category.name == first.estimate.category.name)
             [answer] = own.reconsidered([observation], [first.estimate], self.known.of(own.category))
-            best = no_surer(answer, min(first.probability, observation.likelihood))
+            best = no_surer(if_also(answer, first.probability), observation.likelihood)
             checks = doubts(observation, best, depth_scale)
             if further:
                 checks += self._told_by_others(observation, answer, checks, own)

@@ -136,6 +136,15 @@ def no_surer(estimate: Estimate, probability: float) -> Estimate:
     return replace(estimate, probability=probability)
 
 
+def if_also(estimate: Estimate, probability: float) -> Estimate:
+    """The estimate, that it is right only if something else is, too, of a ``probability``: the odds against either add
+    up. So probabilities keep their word better than as a product or the smaller of both
+    (``benchmarks/accuracy/bench_auto_probability.py``)."""
+    if estimate.probability is None or not estimate.probability * probability:
+        return no_surer(estimate, probability)
+    return replace(estimate, probability=1 / (1 / estimate.probability + 1 / probability - 1))
+
+
 def usual_size(category: Category) -> float:
     """Metres, diagonal of a cloud of it."""
     return USUAL_SIZE * category.metres_per_unit
