@@ -260,6 +260,16 @@ def test_parquet_gives_what_single_images_give(stored):
     assert refused == [None] * 5
 
 
+def test_a_file_at_an_address_that_was_written_anew_is_another(stored):
+    parquet, table = pytest.importorskip("pyarrow.parquet"), pytest.importorskip("pyarrow").table
+    file = stored / "views.parquet"
+    parquet.write_table(table(columns("raw")), file)
+    address = Path(file.as_uri())  # as a command line has it
+    first, again = (open_sources([address], READING).fingerprint() for _ in range(2))
+    os.utime(file, (1e9, 1e9))
+    assert first == again != open_sources([address], READING).fingerprint()
+
+
 def test_images_of_a_parquet_file_may_stand_beside_their_size(stored):
     """Which pixels without a shape of their own need, in the column beside."""
     parquet, table = pytest.importorskip("pyarrow.parquet"), pytest.importorskip("pyarrow").table

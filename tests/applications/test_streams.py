@@ -2,6 +2,7 @@
 
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -223,6 +224,19 @@ def test_what_holds_for_no_frame_of_a_recording_is_refused(option, sequence, cap
     assert option[0] in capsys.readouterr().err
 
 
+def test_a_recording_in_another_unit_is_read_with_its_scale_and_ones_own_colours(sequence, capsys):
+    tenths = [replace(frame, depth=10 * frame.depth) for frame in sequence]  # as a driver that stores 0.1 mm
+    bag = str(write_bag(Path("recording"), tenths, "mcap"))
+    Image.new("RGB", (640, 480), (200, 0, 100)).save("colour.png")
+    options = ["--depth-scale", "0.0001", "--color", "colour.png", "--gif", "--mask-topic", "/mask"]
+    _, lines = tracked(capsys, bag, *options)
+    assert [line["status"] for line in lines] == ["tracking"] * 4
+    assert Image.open("omad-track/track.gif").convert("RGB").resize((1, 1)).getpixel((0, 0))[0] > 150
+    Path("camera.json").write_text(json.dumps({"fx": 600, "fy": 600, "cx": 319.5, "cy": 239.5, "depth_scale": 1e-4}))
+    _, lines = tracked(capsys, bag, "--intrinsics", "camera.json", "--mask-topic", "/mask")
+    assert [line["status"] for line in lines] == ["tracking"] * 4
+
+
 def test_recordings_that_do_not_fit_are_refused(sequence, capsys):
     bag = str(write_bag(Path("recording"), sequence[:1], "mcap"))
     assert run(["track", bag, *GIVEN, "--depth-topic", "/depth"]) == 2
@@ -275,12 +289,22 @@ def test_a_camera_is_followed(camera, capsys):
     summary, lines = tracked(capsys, "--camera", "realsense")
     assert summary["status"]["tracking"] == len(lines) == 4
     assert camera == ["start", "stop"]
+    assert run(["track", "--camera", "realsense", "--depth-scale", "0.001", *GIVEN]) == 2
+    assert "--depth-scale" in capsys.readouterr().err
 
 
 def test_a_camera_without_its_package_names_the_cure(monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "pyrealsense2", None)
     assert run(["track", "--camera", "realsense", *GIVEN]) == 2
     assert "omad[realsense]" in capsys.readouterr().err
+
+
+def test_a_track_is_recorded_or_shown_live(folder, capsys):
+    Path("omad-track").mkdir()
+    Path("omad-track/track.rrd").write_text("earlier")
+    assert run(["track", str(folder), *K, *GIVEN, "--formats", "rrd", "--live"]) == 2
+    assert "--live" in capsys.readouterr().err
+    assert Path("omad-track/track.rrd").read_text() == "earlier"
 
 
 def test_a_track_is_recorded_for_rerun_and_shown_live(folder, capsys, monkeypatch):
@@ -305,6 +329,9 @@ def test_a_track_is_recorded_for_rerun_and_shown_live(folder, capsys, monkeypatc
         ("2024-05-01_12-30-05_0007.png", "2024-05-01_12-30-05_0010.png", 0.3),  # frames of that recording
         ("1999123123595901.png", "1999123123595903.png", 2e-6),  # microseconds since 1970
         ("00002.depth.png", "00004.depth.png", 0.2),
+        ("d_1620000000123.4567.png", "d_1620000000156.4567.png", 0.033),
+        ("d_1620000000.25.png", "d_1620000001.50.png", 1.25),
+        ("t_12.25.png", "t_13.50.png", 1.25),
     ],
 )
 def test_names_tell_dates_stamps_and_frames(one, other, seconds):

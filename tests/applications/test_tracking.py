@@ -17,7 +17,7 @@ from sequences import SequenceConfig, SequenceFrame, render_sequence
 import omad
 from helpers.headless_browser import HeadlessBrowser
 from omad.applications.tracking import page, pictures
-from omad.applications.tracking.frames import read_times
+from omad.applications.tracking.frames import Clock, frames_of, read_times
 from omad.applications.tracking.motion import MotionConfig, MotionFilter, Placement
 from omad.applications.tracking.sequence import TrackedSequence
 from omad.applications.tracking.tracker import TrackedEstimate, TrackedStates, TrackerConfig
@@ -290,6 +290,13 @@ def test_times_that_do_not_fit_are_refused(folder, content, capsys):
     assert "times" in capsys.readouterr().err
 
 
+def test_times_count_from_the_earliest_frame(folder):
+    clock = Clock(30.0, {f"{index:04d}.png": 5.0 - index for index in range(20)})
+    frames = frames_of(folder, clock)
+    assert [frame.time for frame in frames] == list(range(len(frames)))
+    assert [frame.path.name for frame in frames] == sorted((frame.path.name for frame in frames), reverse=True)
+
+
 def test_an_empty_folder_is_refused(tmp_path):
     assert run(["track", str(tmp_path), *GIVEN]) == 2
 
@@ -345,6 +352,10 @@ def test_a_first_frame_may_be_broken_and_options_that_are_wrong_for_all_leave_an
     out, err = capsys.readouterr()
     assert json.loads(out)["status"]["tracking"] == 2
     assert err.count("0000.png: ") == 1
+    for index in range(1, 3):
+        (folder / f"{index:04d}.png").write_bytes(b"broken")
+    assert run(["track", str(folder), "--most", "4", *GIVEN]) == 2  # three that are broken, and one
+    assert json.loads(capsys.readouterr().out)["status"]["tracking"] == 1
     before = {path: path.read_bytes() for path in Path("omad-track").iterdir()}
     for wrong, said in (("--gravity=0,0,0", "has no direction"), ("--box=900,900,950,950", "box: 900")):
         assert run(["track", str(folder), *GIVEN, wrong]) == 2

@@ -25,6 +25,7 @@ from omad.model.backbones.pointnet2 import PointNet2Config
 from omad.model.checkpoint import WEIGHTS, load, save
 from omad.model.omadnet import OmadNet
 from omad.objects.category_file import get_category
+from omad.objects.urdf import write_urdf
 from omad.sensing.reader import files_in
 from omad.training.loop import Schedule
 
@@ -147,10 +148,19 @@ def test_a_query_leaves_no_thumbnails_of_an_earlier_one_and_takes_no_file_of_oth
     few_entries("index.npz", ["one", "new\nline", "three"])
     query = ["index", "query", save_png("01.png"), *K, "--index", "index.npz", "--output", "."]
     depth = Path("01.png").read_bytes()
+    for mine in ("ranking-07.png", "ranking-2024.png"):
+        Path(mine).write_bytes(b"mine")
     found = answer(capsys, *query, "--count", "3")
+    assert Path("ranking-07.png").read_bytes() == b"mine"  # no earlier query was here
+    Path("ranking-07.png").unlink()
     assert all(Path(hit["thumbnail"]).is_file() for hit in found["ranking"])
     found = answer(capsys, *query, "--count", "1")
-    assert {path.name for path in Path().glob("*.png")} == {"01.png", "ranking.png", "ranking-01.png"}
+    assert {path.name for path in Path().glob("*.png")} == {
+        "01.png",
+        "ranking.png",
+        "ranking-01.png",
+        "ranking-2024.png",
+    }
     assert found["ranking"][0]["thumbnail"] == "ranking-01.png"
     assert Path("01.png").read_bytes() == depth
     assert run([*query, "--count", "3"]) == 0
@@ -324,3 +334,37 @@ def test_a_catalogue_on_disk_is_built_added_to_merged_and_asked(capsys):
     assert set(names) == {"mine", "other", generate(LAPTOP, 0, "test").name}  # three of what the view shows
     assert Path(found["ranking"][0]["thumbnail"]).is_file()
     assert "large" in refused(capsys, *on_disk, "--metric", "beta")
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not FAISS, reason="FAISS is not installed (extra omad[faiss])")
+def test_a_catalogue_on_disk_knows_what_it_was_made_of(capsys):
+    on_disk = ["index", "build", *OF_LAPTOP, "--output", "large", "--backend", "disk"]
+    for number in range(2):
+        save_png(f"frames/{number}.png")
+    frames = [*on_disk, "--source", "frames", *K]
+    assert run([*frames, "--depth-scale", "0.9"]) == 2
+    assert "none of its 2 inputs" in capsys.readouterr().err
+    assert answer(capsys, *frames)["entries"] == 2  # the mistake is not remembered
+    assert "options" in refused(capsys, *frames, "--depth-scale", "0.0005")
+    assert "options" in refused(capsys, *frames, "--no-fuse")
+    assert answer(capsys, *frames)["entries"] == 2
+    for index, name in enumerate("bd"):
+        write_urdf(replace(generate(LAPTOP, index, "test"), name=name), f"models/{name}/{name}.urdf")
+    assert answer(capsys, *on_disk, "--source", "models")["entries"] == 4
+    write_urdf(replace(generate(LAPTOP, 2, "test"), name="c"), "models/c/c.urdf")
+    assert "are not those" in refused(capsys, *on_disk, "--source", "models")
+    shutil.move("models/c", "models/e")
+    Path("models/e/c.urdf").rename("models/e/e.urdf")
+    assert answer(capsys, *on_disk, "--source", "models")["entries"] == 5
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not FAISS, reason="FAISS is not installed (extra omad[faiss])")
+def test_a_catalogue_on_disk_lists_what_it_skipped(capsys):
+    assert run(["render", *OF_LAPTOP, "--objects", "2", "--views", "4", "--output", "views"]) == 0
+    capsys.readouterr()
+    next(Path("views").glob("*/*.json")).write_text("{")
+    on_disk = ["index", "build", *OF_LAPTOP, "--output", "large", "--backend", "disk", "--source", "views"]
+    [skipped] = answer(capsys, *on_disk, "--broken", "skip")["refused"]
+    assert "JSON" in skipped["reason"]

@@ -77,6 +77,16 @@ def test_a_folder_among_the_models_is_none_of_them(imported):
         assert not import_folder(Path("models"), MICROWAVE, Path("models/ours")).refused
 
 
+def test_lone_files_beside_the_folder_they_are_imported_to_are_imported_once(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_urdf(microwave("one"), "lone/one.urdf")
+    times = []
+    for _ in range(3):
+        assert import_folder(Path("lone"), MICROWAVE, Path("lone/ours")).used == ["one"]
+        times.append(Path("lone/ours/one/one.urdf").stat().st_mtime_ns)
+    assert len(set(times)) == 1
+
+
 def test_what_another_put_into_the_folder_stays(imported):
     """Of a model that goes from the source, only the files go that the import wrote, as it wrote them."""
     Path("ours/oven-0-1/notes.txt").write_text("mine")

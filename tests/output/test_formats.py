@@ -235,6 +235,20 @@ def test_glb_is_the_tree_and_its_animation_moves_the_joints(estimate, tmp_path):
         assert np.linalg.norm(posed.T[:, None] - own, axis=-1).min(1).max() < 1e-5
 
 
+def test_glb_turns_all_the_way_where_a_joint_turns_many_times(tmp_path):
+    screw = made_up((0,), ("revolute",))
+    far = replace(screw, joints=(replace(screw.joints[0], limits=(-0.5, 80.0)),))
+    save_glb(far, tmp_path / "object.glb")
+    data = (tmp_path / "object.glb").read_bytes()
+    (json_length,) = struct.unpack("<I", data[12:16])
+    content = json.loads(data[20 : 20 + json_length])
+    stored = content["accessors"][content["animations"][0]["samplers"][0]["output"]]
+    start = 28 + json_length + content["bufferViews"][stored["bufferView"]]["byteOffset"]
+    turns = Rotation.from_quat(np.frombuffer(data, "<f4", 4 * stored["count"], start).reshape(-1, 4))
+    steps = (turns[:-1].inv() * turns[1:]).as_rotvec() @ far.canonical_axes[0]  # the short way, as viewers go
+    assert np.ptp(np.cumsum(steps)) == pytest.approx(80.5, abs=1e-3)
+
+
 def test_ros_transforms_chain_to_the_links(estimate):
     messages = json.loads(json.dumps(ros_messages(estimate, np.int64(1_700_000_000_123_456_789))))
     stamp = {"sec": 1_700_000_000, "nanosec": 123_456_789}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -49,6 +50,7 @@ with lazy_imports():
     from omad.data.source import kind_of, load_models, load_views
     from omad.data.urdf_import.folder import is_urdf
     from omad.model.checkpoint import find_weights
+    from omad.objects.model import ObjectModel
     from omad.output.picture import how_sure, save
     from omad.sensing.reader import InputReader, files_in, input_files
 
@@ -105,9 +107,17 @@ class IndexBuild(CategoryCommand):
         index, refused, doubtful = LargeIndex.create(self.output, space), list[dict[str, str]](), list[dict[str, Any]]()
         made = self.source in NAMES or not Path(self.source).is_dir()  # by a generator
         source = f"{everywhere(self.source)} {self.seed}" if made else everywhere(self.source)
-        files = [] if kind_of(self.source).images is not None else self._files()
-        names = [file.relative_to(self.source).as_posix() for file in files]
-        index.add(self._portions(estimator, index.taken(source), files, refused, doubtful), source, names)
+        images = kind_of(self.source).images is not None
+        files, models, names = [] if images else self._files(), list[ObjectModel](), list[str]()
+        if files:
+            names = [file.relative_to(self.source).as_posix() for file in files]
+        elif not images:
+            found = load_models(self.source, estimator.category, self.objects, "test", self.seed)
+            models, names = list(found.models), [model.name for model in found.models]
+            refused += found.refused
+        read = repr((self.reading, self.fuse)) if files else ""
+        portions = self._portions(estimator, index.taken(source), files, models, refused, doubtful)
+        index.add(portions, source, names, read)
         if not len(index):
             raise self._nothing_usable(refused)
         record = {"index": str(self.output), "category": space.category, "metric": self.metric}
@@ -123,10 +133,11 @@ class IndexBuild(CategoryCommand):
         estimator: omad.Estimator,
         taken: int,
         files: list[Path],
+        models: list[ObjectModel],
         refused: list[dict[str, str]],
         doubtful: list[dict[str, Any]],
     ) -> Iterator[Portion]:
-        """All that the source holds, depth ``files`` or something else, without its first ``taken`` inputs; what is
+        """All that the source holds, depth ``files``, ``models`` or views, without its first ``taken`` inputs; what is
         ``refused`` or ``doubtful`` of it is added to these."""
         folder, category = Path(self.source), estimator.category
         if kind_of(self.source).images is not None:
@@ -136,10 +147,12 @@ class IndexBuild(CategoryCommand):
                 return catalogue.seen_views(some, len(some), self.source, refused)
 
             rest = progress(views.views, views.total, done=taken)
-            return portions_of_inputs(estimator, rest, lambda view: view.object, seen, self.fuse, doubtful)
+            yield from portions_of_inputs(estimator, rest, lambda view: view.object, seen, self.fuse, doubtful)
+            refused += views.refused
+            return
         if files:
             rest = progress(files[taken:], len(files), unit="file", done=taken)
-            return portions_of_inputs(
+            yield from portions_of_inputs(
                 estimator,
                 rest,
                 lambda file: catalogue.object_of(file, folder),
@@ -147,10 +160,9 @@ class IndexBuild(CategoryCommand):
                 self.fuse,
                 doubtful,
             )
+            return
         net = prior_of(find_weights(self.weights or self.category), self.device)
-        models = load_models(self.source, category, self.objects, "test", self.seed)
-        refused += models.refused
-        return portions_of_models(net, models.models[taken:], self.source)
+        yield from portions_of_models(net, models[taken:], self.source)
 
     def _files(self) -> list[Path]:
         """Depth images and clouds, where the source is a folder of such."""
@@ -249,7 +261,8 @@ class IndexQuery:
         hits = index.search_objects(signature, self.count, self.by_information)
         unit = "std" if self.by_information else UNITS[index.space.metric]
         picture = self.output / "ranking.png"
-        with replacing(self.output.glob("ranking-[0-9]*.png")):  # of an earlier query, which may have named more
+        earlier = self.output.glob("ranking-[0-9]*.png") if picture.is_file() else ()  # which may have named more
+        with replacing(file for file in earlier if re.fullmatch(r"ranking-\d{2,3}", file.stem)):
             save(ranking_figure(observations, hits, unit), picture)
             thumbnails = (self.output / f"ranking-{number:02d}.png" for number in range(1, len(hits) + 1))
             ranking = [*map(self._ranked, hits, thumbnails)]

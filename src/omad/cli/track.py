@@ -101,6 +101,8 @@ class Track(CategoryCommand):
     def run(self) -> Answer:
         check_positive(depth_scale=self.reading.depth_scale, fps=self.fps, most=self.most)
         check_folder(self.output)
+        if self.live and "rrd" in self.formats:
+            raise InputError("--live: shows the recording in place of writing it; leave it out, or --formats rrd")
         check_formats(self.formats)
         stream = self.frames == STREAM
         places = None if self.world is None else CameraPlaces(self.world)
@@ -139,6 +141,8 @@ class Track(CategoryCommand):
         timed = self.camera is not None or (self.frames is not None and is_bag(self.frames))
         if timed and self.times is not None:
             raise InputError("--times: recordings and cameras tell the times of their frames; leave it out")
+        if self.camera is not None and self.reading.depth_scale is not None:
+            raise InputError("--depth-scale: a camera tells its own; leave it out")
         if self.camera is not None:
             frames = taken(realsense.open_camera())
         elif stream:

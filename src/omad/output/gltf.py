@@ -3,6 +3,7 @@ is canonical space (y up, z to the front, metres), so nothing is turned, but whe
 the camera's place in a world is known."""
 
 import json
+import math
 import struct
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,7 +20,9 @@ from .frame import CAMERA, Frame
 from .ply import byte_colours, part_surfaces
 
 SECONDS = 6.0
-KEYS = 49
+STEPS = 12
+"""Of a quarter of the animation at least; a turn goes on in steps of at most a quarter round, as viewers take the short
+way between two."""
 FLOAT, UINT = 5126, 5125
 Y_UP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 """From a frame whose z points up."""
@@ -42,7 +45,9 @@ def save_glb(
     extras = {"T_camera_base": estimate.T_camera_base.tolist(), "joint_states": joint_states}
     frames: list[dict[str, Any]] = [{"name": "canonical", "children": [], "extras": extras}]
     samplers, channels = [], []
-    times = np.linspace(0.0, SECONDS, KEYS)
+    farthest = max(abs(joint.unit_motion.turn) * np.ptp(joint.limits) for joint in estimate.joints)
+    steps = max(STEPS, math.ceil(farthest / (math.pi / 2)))
+    times = np.linspace(0.0, SECONDS, 4 * steps + 1)
     clock = file.accessor(times)
     for index, (joint, parent, axis) in enumerate(zip(estimate.joints, parents, estimate.canonical_axes, strict=True)):
         low, high = joint.limits

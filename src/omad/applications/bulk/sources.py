@@ -73,10 +73,11 @@ def open_sources(
     reader = InputReader.of(alone, [] if first is None else [first], frame)
     if isinstance(reader.mask, Path):
         check_masks_apart(images(), reader.mask)
-    sources: list[Source] = []
+    sources, remote = list[Source](), list[str]()
     for path in inputs:
         if path in addresses:
-            sources += [_parquet(file, reader) for file in _at(addresses[path])]
+            remote += (found := _at(addresses[path]))
+            sources += [_parquet(file, reader) for file in found]
             continue
         group = groups[path]
         stack = None if path.is_dir() else _stack_in(path, "depth")
@@ -90,12 +91,12 @@ def open_sources(
         sources.append(_single(_Group(group.folder, single), reader))
     told = (reading.mask, reading.intrinsics, frame.color_intrinsics, frame.color_extrinsics)
     named = [Path(each) for each in told if each is not None]
-    return _chained(sources, partial(_fingerprint, [*groups.values()], named))
+    return _chained(sources, partial(_fingerprint, [*groups.values()], named, remote))
 
 
-def _fingerprint(groups: Sequence["_Group"], named: Sequence[Path]) -> str:
+def _fingerprint(groups: Sequence["_Group"], named: Sequence[Path], remote: Sequence[str]) -> str:
     """Of names, sizes and times of writing: of the files of ``groups`` and what may lie beside each, of those that the
-    options ``named``, and of all that is in a folder of masks."""
+    options ``named``, of all that is in a folder of masks, and of ``remote`` files by their addresses."""
     digest = hashlib.sha256()
 
     def add(name: str, files: Iterable[Path]) -> None:
@@ -110,6 +111,10 @@ def _fingerprint(groups: Sequence["_Group"], named: Sequence[Path]) -> str:
             add(name, [file, *may_lie_beside(file)])
     for path in named:
         add(path.name, sorted(path.rglob("*")) if path.is_dir() else [path])
+    for address in remote:
+        folder, name = address.rsplit("/", 1)
+        with suppress(OSError):
+            digest.update(f"{name}\0{Store.of(folder).stamp(name)}\0".encode())
     return digest.hexdigest()
 
 

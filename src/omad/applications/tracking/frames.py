@@ -71,7 +71,7 @@ class Clock:
             return found
         stem = path.stem.removesuffix(OF_DEPTH)
         number = re.search(r"(\d+)(\.\d+)?$", stem)
-        digits = "" if number is None or number[2] else number[0]
+        digits = "" if number is None else number[1]
         unit = None if digits.startswith("0") else STAMPS.get(len(digits))
         if unit is None and (told := _date_in(stem)) is not None:
             return told
@@ -81,7 +81,7 @@ class Clock:
         if len(number[0].lstrip("0")) > most:
             raise InputError(f"{shown(path)}: its number is no time; give the times with --times")
         if number[2]:
-            return float(number[0])
+            return float(number[0]) * (unit or 1.0)
         return int(number[0]) / self.fps if unit is None else int(number[0]) * unit
 
 
@@ -97,7 +97,9 @@ def _date_in(stem: str) -> float | None:
 def frames_of(folder: Path, clock: Clock) -> list[FrameFile]:
     """The frames of a folder by time. Raises InputError for a folder without any, and for two of one time."""
     paths = sorted(input_files([folder]), key=_in_counting_order)
-    frames = sorted((FrameFile(path, clock(path)) for path in paths), key=lambda frame: frame.time)
+    times = [clock(path) for path in paths]
+    first = min(times)  # of a table, which may have them in another order
+    frames = sorted(map(FrameFile, paths, (time - first for time in times)), key=lambda frame: frame.time)
     for one, other in zip(frames, frames[1:], strict=False):
         if one.time == other.time:
             cure = "give the times with --times" if clock.table is None else "correct the table of times"

@@ -129,7 +129,7 @@ class TrackedSequence:
         self.untold.append(frame)
         if self.began or self.stream:
             self._tell_refused()
-        elif len(self.refused) == TRIED:
+        elif len(self.refused) > TRIED:
             raise InputError(reason) from error  # the options are wrong for every frame
 
     def _tell_refused(self) -> None:

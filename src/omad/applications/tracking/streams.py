@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from omad.common.errors import InputError, named
+from omad.sensing.depth_files import in_metres
 from omad.sensing.foreign.bags import RecordedFrame, Topics, read_bag
 from omad.sensing.input_options import FrameOptions, InputOptions
 from omad.sensing.observation import Observation
@@ -35,13 +36,17 @@ class FrameReader:
                 return self._of_one_size(reader(frame.path))
             if isinstance(reader.mask, Path):
                 raise InputError(f"--mask {reader.mask}: is a folder, but frames are no files; give --mask-topic")
+            if isinstance(reader.color, Path):
+                raise InputError(f"--color {reader.color}: is a folder, but frames are no files; give --color-topic")
             mask = reader.mask if source.mask is None else source.mask
             if mask is None:
                 reader.check_mask_id()
             camera = reader.camera or source.camera
             if camera is None:
                 raise InputError("its camera is not told; name its topic with --info-topic, or give --intrinsics")
-            return self._of_one_size(reader.observe(source.depth, mask, camera, source.color))
+            depth = in_metres(source.depth, reader.depth_scale, reader.metres_per_integer(camera.depth_scale))
+            color = source.color if reader.color is None else reader.color
+            return self._of_one_size(reader.observe(depth, mask, camera, color))
 
     def _cut_out(self, seen: Observation, box: Sequence[float] | None) -> Observation:
         return self.find(self._of_one_size(seen), box)

@@ -43,6 +43,16 @@ class Store:
         system, root = self._system
         return system.exists(f"{root}/{name}")
 
+    def stamp(self, name: str) -> str:
+        """Another one when a file is written anew: its size and when it was written, as far as that is told. Raises
+        OSError."""
+        if self._address is None:
+            status = Path(self.place, name).stat()
+            return f"{status.st_size} {int(status.st_mtime)}"
+        system, root = self._system
+        told = system.info(f"{root}/{name}")
+        return " ".join(str(told.get(key)) for key in ("size", "mtime", "LastModified", "updated", "etag", "ETag"))
+
     def open(self, name: str) -> BinaryIO:
         """To read. Raises OSError."""
         if self._address is None:

@@ -116,7 +116,7 @@ def _import_all(
         file = output / name / f"{name}.urdf"
         try:
             _check_plain(name, f"{path}: an object's name")
-            stamp = _stamp(path, mesh_folder)
+            stamp = _stamp(path, mesh_folder, output)
             if record.stamps.get(name) != stamp or not file.is_file():
                 found = importing(path)
                 record.drop(name)
@@ -244,10 +244,11 @@ def _digest(file: Path) -> str:
     return hashlib.sha256(file.read_bytes()).hexdigest()
 
 
-def _stamp(path: Path, mesh_folder: Path | None) -> str:
-    """Changes when a file of the object does, or a mesh that it takes from elsewhere."""
-    folder = path if path.is_dir() else path.parent
-    files = {file for file in folder.rglob("*") if file.is_file()}
+def _stamp(path: Path, mesh_folder: Path | None, output: Path) -> str:
+    """Changes when a file of the object does, or a mesh that it takes from elsewhere; what is written to ``output``,
+    which may lie beside it, is none of it."""
+    folder, written = path if path.is_dir() else path.parent, output.resolve()
+    files = {file for file in folder.rglob("*") if file.is_file() and not file.resolve().is_relative_to(written)}
     urdf = urdf_of(path) if path.is_dir() else path
     named = re.findall(r"filename *= *[\"'](.*?)[\"']", read_text(urdf, errors="replace"))
     found = filter(None, map(MeshFiles(urdf, folder=mesh_folder).find, named))

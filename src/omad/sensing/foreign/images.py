@@ -45,12 +45,19 @@ def depth_from(value: Any) -> DepthObject:
     if hasattr(value, "get_data") and hasattr(value, "get_units"):  # librealsense's depth_frame
         camera = camera_from(value.get_profile().as_video_stream_profile().get_intrinsics())
         return DepthObject(in_metres(np.asanyarray(value.get_data()), float(value.get_units())), camera)
-    image = image_from(value)
+    image = stored_depth(value)
     if image is not value and isinstance(image, np.ndarray) and hasattr(value, "header") and image.dtype.kind == "u":
         image = in_metres(image)  # millimetres, by ROS's convention (REP 118)
-    elif image is not value and isinstance(image, np.ndarray) and image.dtype.kind == "i":
-        raise InputError(f"depth: encoding {value.encoding!r} is one of labels; send 16UC1 or 32FC1")
     return DepthObject(image)
+
+
+def stored_depth(value: Any) -> Any:
+    """The depth image of a ROS message as it is stored: integers in a unit that it does not tell, or floats in metres;
+    anything else as it is. Raises InputError for an image that is none."""
+    image = image_from(value)
+    if image is not value and isinstance(image, np.ndarray) and image.dtype.kind == "i":
+        raise InputError(f"depth: encoding {value.encoding!r} is one of labels; send 16UC1 or 32FC1")
+    return image
 
 
 def image_from(value: Any) -> Any:

@@ -160,12 +160,14 @@ class LargeIndex:
             raise InputError(f"{self.folder}: is damaged (its lists name entries that are not there); build it anew")
         return found
 
-    def add(self, portions: Iterable[Portion], source: str = "", inputs: Sequence[str] = ()) -> None:
+    def add(self, portions: Iterable[Portion], source: str = "", inputs: Sequence[str] = (), options: str = "") -> None:
         """Add a stream of entries; what is not yet written is in memory, at most some hundred thousand of them. After
         a kill all that was written is there, and ``taken`` tells how many inputs of ``source`` need not come again.
-        ``inputs``: names of all of them, where they have any. Raises InputError where another process adds, for entries
-        of another prior, and where the first ``inputs`` are not those that are in."""
-        self._add(portions, source, (lambda count: digest_of_names(inputs[:count])) if inputs else None)
+        ``inputs``: names of all of them, where they have any; ``options``: how they are read. Raises InputError where
+        another process adds, for entries of another prior, and where the first ``inputs`` or the ``options`` are not
+        those that are in."""
+        read = (options,) if options else ()
+        self._add(portions, source, (lambda count: digest_of_names([*read, *inputs[:count]])) if inputs else None)
 
     def _add(self, portions: Iterable[Portion], source: str, digest: Digest | None) -> None:
         with only_one(self.folder, WRITER):
@@ -189,8 +191,9 @@ class LargeIndex:
     def _check_inputs(self, source: str, digest: Digest | None) -> None:
         known, taken = dict(self.manifest.names).get(source), self.taken(source)
         if digest is not None and known not in (None, digest(taken)):
-            cure = "put new ones into a folder of their own, or build it anew"
-            raise InputError(f"{source}: its first {taken} inputs are not those that are in {self.folder}; {cure}")
+            cure = "put new ones into a folder of their own, give the same options, or build it anew"
+            said = f"its first {taken} inputs are not those that are in {self.folder}, or read with other options"
+            raise InputError(f"{source}: {said}; {cure}")
 
     def _add_part(self, portions: list[Portion], source: str, digest: Digest | None) -> None:
         manifest, size = self.manifest, len(self.space.factor)
@@ -209,8 +212,7 @@ class LargeIndex:
             names=tuple(sorted(names.items())),
         )
         if not any(len(portion.entries) for portion in portions):
-            publish_manifest(self.folder, manifest)
-            self._show(manifest)
+            self._show(manifest)  # not published: inputs that were all refused are read again another time
             return
         part = write_part(self.folder, f"part-{manifest.number + 1:06d}", portions)
         manifest = replace(manifest, number=manifest.number + 1, parts=(*manifest.parts, part))
