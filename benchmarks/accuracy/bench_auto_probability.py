@@ -2,7 +2,7 @@
 
     OMP_NUM_THREADS=1 python benchmarks/accuracy/bench_auto_probability.py [--models FOLDER] [--views 12]
 
-It is made of that of the category and the answer's own: their odds against added up (as it is done), multiplied, or the
+It is made of that of the category and the answer's own: multiplied (as it is done), their odds against added up, or the
 smaller of both. Views are standard ones with camera noise, of procedural and unusual test objects, of strangers, and of
 the models in ``FOLDER/<category>/`` where one is given.
 """
@@ -24,7 +24,6 @@ from omad.data.rendering.standard_views import View, standard_view, true_pose
 from omad.data.source import load_models
 from omad.estimation.categories.late import shipped_estimators
 from omad.estimation.categories.ranking import rank
-from omad.estimation.checks import if_also, no_surer
 from omad.estimation.estimate import DOUBTFUL, Estimate
 from omad.estimation.known import NOTHING_KNOWN
 from omad.evaluation.calibration import area_under_roc, expected_calibration_error
@@ -85,14 +84,15 @@ def main(config: Config) -> None:
             first, probability = ranking.candidates[0].estimate, ranking.candidates[0].probability
             own = estimators[first.category.name]
             [answer] = own.reconsidered([observation], [first], NOTHING_KNOWN.of(own.category))
-            ways = if_also(answer, probability).probability, (answer.probability or 0) * probability
-            rows.append([*ways, no_surer(answer, probability).probability, is_right(answer, view, truth)])
+            both = max(answer.probability or 0.0, 1e-9), max(probability, 1e-9)
+            ways = np.prod(both), 1 / (1 / both[0] + 1 / both[1] - 1), min(both)
+            rows.append([*ways, is_right(answer, view, truth)])
         told[source] = np.array(rows, dtype=float)
         every.append(told[source])
     for source, rows in (told | {"all": np.concatenate(every)}).items():
         right = rows[:, -1] > 0
         print(f"{source}: {len(rows)} answers, {right.mean():.1%} right")
-        for name, said in zip(("odds against added up", "multiplied", "the smaller"), rows.T, strict=False):
+        for name, said in zip(("multiplied", "odds against added up", "the smaller"), rows.T, strict=False):
             error, area = expected_calibration_error(said, right), area_under_roc(said, right)
             sure = np.count_nonzero((said >= DOUBTFUL) & ~right)
             print(f"  {name:22} calibration error {error:.3f}, area under the ROC {area:.3f}, wrong but sure {sure}")

@@ -137,12 +137,9 @@ def no_surer(estimate: Estimate, probability: float) -> Estimate:
 
 
 def if_also(estimate: Estimate, probability: float) -> Estimate:
-    """The estimate, that it is right only if something else is, too, of a ``probability``: the odds against either add
-    up. So probabilities keep their word better than as a product or the smaller of both
-    (``benchmarks/accuracy/bench_auto_probability.py``)."""
-    if estimate.probability is None or not estimate.probability * probability:
-        return no_surer(estimate, probability)
-    return replace(estimate, probability=1 / (1 / estimate.probability + 1 / probability - 1))
+    """The estimate, that it is right only if something else is, too, of a ``probability``: as likely as their product,
+    which keeps its word better than the smaller of both (``benchmarks/accuracy/bench_auto_probability.py``)."""
+    return no_surer(estimate, (estimate.probability or 0.0) * probability)
 
 
 def usual_size(category: Category) -> float:
