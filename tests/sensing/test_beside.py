@@ -9,10 +9,15 @@ import numpy as np
 import pytest
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
+from scipy.spatial.transform import Rotation
 
 from helpers.command_line import LAPTOP, K, answer, laptop_view, refused, save_png
 from omad.cli.main import run
 from omad.common.errors import InputError
+from omad.data.procedural import generate
+from omad.data.rendering.depth_noise import LEVELS
+from omad.data.rendering.standard_views import standard_view
+from omad.estimation.checks import camera_doubts, gravity_doubts
 from omad.estimation.estimator import Estimator
 from omad.estimation.known import Known
 from omad.objects.category_file import get_category
@@ -242,11 +247,6 @@ def test_planes_that_are_not_at_right_angles_tell_the_focal_length():
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["laptop", "dishwasher", "drawer"])
 def test_right_focal_lengths_are_hardly_ever_doubted(name):
-    from omad.data.procedural import generate
-    from omad.data.rendering.depth_noise import LEVELS
-    from omad.data.rendering.standard_views import standard_view
-    from omad.estimation.checks import camera_doubts
-
     estimator, category = Estimator.from_pretrained(name), get_category(name)
     doubted = []
     for i in range(10):
@@ -256,13 +256,24 @@ def test_right_focal_lengths_are_hardly_ever_doubted(name):
     assert np.mean(doubted) <= 0.1
 
 
+@pytest.mark.parametrize("turned_by", [90, 180])
+def test_of_a_turned_camera_the_right_gravity_is_believed_and_a_level_ones_wrong_one_is_not(turned_by):
+    estimator, category = Estimator.from_pretrained("refrigerator"), get_category("refrigerator")
+    T = Rotation.from_euler("z", turned_by, degrees=True).as_matrix()
+    right, wrong = [], []
+    for i in range(5):
+        view = standard_view(generate(category, 60 + i, "test"), category, (8, i), LEVELS["on"])
+        seen = view.observation()
+        turned, known = Observation.from_points(seen.points @ T.T), Known(gravity=-T @ view.T_camera_base[:3, 1])
+        for observation, doubted in ((turned, right), (seen, wrong)):
+            found = estimator(observation, known)
+            doubted.append(bool(gravity_doubts(observation, found, known, estimator)))
+    assert sum(right) <= 1
+    assert sum(wrong) >= 4
+
+
 @pytest.mark.parametrize("name", ["laptop", "drawer"])
 def test_gravity_that_the_object_contradicts_is_doubted_and_the_right_one_is_not(name):
-    from omad.data.procedural import generate
-    from omad.data.rendering.depth_noise import LEVELS
-    from omad.data.rendering.standard_views import standard_view
-    from omad.estimation.checks import gravity_doubts
-
     estimator, category = Estimator.from_pretrained(name), get_category(name)
     right, wrong = [], []
     for i in range(10):

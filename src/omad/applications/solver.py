@@ -145,7 +145,11 @@ class Solver:
         estimates = chosen(views, self.known, T_world_camera=T_world_camera)
         # gravity is the first camera's
         of_all = gravity_doubts(
-            views[0], estimates[0], self.known, lambda _, known: chosen(views, known, T_world_camera=T_world_camera)[0]
+            views[0],
+            estimates[0],
+            self.known,
+            lambda _, known: chosen(views, known, T_world_camera=T_world_camera)[0],
+            alone=False,
         )
         rows = zip(views, estimates, strict=True)
         found = []

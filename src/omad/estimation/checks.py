@@ -18,6 +18,8 @@ from .estimate import Estimate, chance
 from .evidence import explanation
 from .known import Known
 
+AsksAgain = Callable[[Observation, Known], Estimate]
+
 USUAL_SIZE = 2.5
 """Diagonal of an object's cloud in category units; 1.5 to 4 in standard views."""
 DOUBTFUL = 0.07
@@ -235,9 +237,8 @@ def camera_doubts(
     if not estimate.residual * less_likely > BETTER * residuals[best]:
         return []
     likely = f"{FOCAL_LENGTHS[best] * camera.fx:.0f}"
-    what = (
-        f"a {estimate.category.name} fits {estimate.residual / residuals[best]:.1f} times as well if the focal length"
-    )
+    times = estimate.residual / residuals[best]
+    what = f"a {estimate.category.name} fits {times:.1f} times as well if the focal length"
     return [
         Check(
             "intrinsics",
@@ -250,16 +251,23 @@ def camera_doubts(
 
 
 def gravity_doubts(
-    observation: Observation, estimate: Estimate, known: Known, estimator: Callable[[Observation, Known], Estimate]
+    observation: Observation, estimate: Estimate, known: Known, estimator: AsksAgain, alone: bool = True
 ) -> list[Check]:
     """Where the object seems to stand otherwise than the ``known`` gravity says; ``estimator`` is asked once more,
-    without it. Or where that is not known, and the object, of a kind that stands, seems to lie on its side."""
+    without it, and of an observation ``alone`` by a rolled camera also for what a level one would see: an answer no
+    less likely counts more. Or where gravity is not known, and the object, of a kind that stands, seems to lie."""
     if known.gravity is None:
         return list(_lying_doubts(estimate))
-    free = estimator(observation, replace(known, gravity=None))
-    off = np.degrees(np.arccos(np.clip(estimate.T_camera_base[:3, 1] @ free.T_camera_base[:3, 1], -1, 1)))
+    unknown, up = replace(known, gravity=None), estimate.T_camera_base[:3, 1]
+    free = estimator(observation, unknown)
+    off = np.degrees(np.arccos(np.clip(up @ free.T_camera_base[:3, 1], -1, 1)))
     if off <= TILTED or free.supposed_probability < TELLING:
         return []
+    turn = known.level_turn()
+    if alone and not np.array_equal(turn, np.eye(3)):
+        level = estimator(known.as_level(observation), unknown)
+        if up @ turn @ level.T_camera_base[:3, 1] >= np.cos(np.radians(TILTED)) and _odds(level) >= _odds(free):
+            return []
     return [
         Check(
             "gravity",

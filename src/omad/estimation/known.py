@@ -91,12 +91,15 @@ class Known:
         turns = so3_exp(torch.as_tensor(roll[:, None] * (0.0, 0.0, 1.0)))
         return make_transform(turns, torch.zeros_like(turns[:, 0])).to(like).expand(len(like), 4, 4)
 
+    def level_turn(self) -> np.ndarray:
+        """(3, 3) that takes vectors from a level camera's frame to that of the one camera (``levelling``)."""
+        return as_doubles(self.levelling(torch.eye(4, dtype=torch.float64)[None]))[0, :3, :3]
+
     def as_level(self, observation: Observation) -> Observation:
         """What a camera that is not rolled would see: the points alone are turned (``levelling``)."""
         if self.gravity is None:
             return observation
-        turn = as_doubles(self.levelling(torch.eye(4, dtype=torch.float64)[None]))[0, :3, :3]
-        return Observation.from_points(observation.points @ turn)
+        return Observation.from_points(observation.points @ self.level_turn())
 
     def apply_to(self, start: State, category: Category) -> State:
         """``start`` (category units) with the known values in place of its own."""

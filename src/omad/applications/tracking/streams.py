@@ -4,8 +4,10 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+import numpy as np
+
 from omad.common.errors import InputError, named
-from omad.sensing.depth_files import in_metres
+from omad.sensing.depth_files import MILLIMETRES
 from omad.sensing.foreign.bags import RecordedFrame, Topics, read_bag
 from omad.sensing.input_options import FrameOptions, InputOptions
 from omad.sensing.observation import Observation
@@ -44,7 +46,10 @@ class FrameReader:
             camera = reader.camera or source.camera
             if camera is None:
                 raise InputError("its camera is not told; name its topic with --info-topic, or give --intrinsics")
-            depth = in_metres(source.depth, reader.depth_scale, reader.metres_per_integer(camera.depth_scale))
+            depth, scale = source.depth, reader.depth_scale
+            if source.in_millimetres:  # what a camera file tells is of integers
+                scale = (scale or reader.metres_per_integer(camera.depth_scale)) / MILLIMETRES
+            depth = depth if scale is None else (depth * scale).astype(np.float32)
             color = source.color if reader.color is None else reader.color
             return self._of_one_size(reader.observe(depth, mask, camera, color))
 

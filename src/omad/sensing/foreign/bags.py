@@ -14,7 +14,7 @@ from omad.common.incoming import as_path, readable
 
 from ..camera_files import CameraFile
 from .cameras import camera_from
-from .images import image_from, stored_depth
+from .images import depth_from, image_from
 
 SUFFIXES = (".mcap", ".db3", ".bag")
 IMAGE, COMPRESSED, INFO = (f"sensor_msgs/msg/{name}" for name in ("Image", "CompressedImage", "CameraInfo"))
@@ -52,7 +52,7 @@ class RecordedFrame:
     time: float
     """Seconds."""
     depth: np.ndarray
-    """(H, W) floats in metres, or integers as they are stored; empty where there is a ``fault``."""
+    """(H, W) metres; empty where there is a ``fault``."""
     camera: CameraFile | None
     """Its camera, where that was told."""
     color: np.ndarray | None = None
@@ -61,6 +61,8 @@ class RecordedFrame:
     """(H, W), not zero where the object is."""
     fault: InputError | None = None
     """Why its images cannot be read: those of others may be."""
+    in_millimetres: bool = False
+    """Whether depth was stored as integers, which were taken for those."""
 
 
 def is_bag(path: Path) -> bool:
@@ -168,7 +170,8 @@ def _frames(reader: Any, chosen: _Chosen) -> Iterator[RecordedFrame]:
         name, time = str(frame.recorded), frame.recorded * NANOSECONDS
         try:
             with_it: dict[str, Any] = {kind: _nearest(images, frame.taken) for kind, images in beside.items()}
-            return RecordedFrame(name, time, stored_depth(frame.message), own, **with_it)
+            seen = depth_from(frame.message)
+            return RecordedFrame(name, time, seen.depth, own, **with_it, in_millimetres=seen.in_millimetres)
         except InputError as error:
             return RecordedFrame(name, time, np.zeros((0, 0)), own, fault=error)
 

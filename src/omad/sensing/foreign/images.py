@@ -34,6 +34,8 @@ class DepthObject:
     camera: CameraFile | None = None
     color: Any = None
     """(H, W, 3), where it lies on the depth image."""
+    in_millimetres: bool = False
+    """Whether integers of a unit that nothing tells were taken for those."""
 
 
 def depth_from(value: Any) -> DepthObject:
@@ -45,19 +47,12 @@ def depth_from(value: Any) -> DepthObject:
     if hasattr(value, "get_data") and hasattr(value, "get_units"):  # librealsense's depth_frame
         camera = camera_from(value.get_profile().as_video_stream_profile().get_intrinsics())
         return DepthObject(in_metres(np.asanyarray(value.get_data()), float(value.get_units())), camera)
-    image = stored_depth(value)
-    if image is not value and isinstance(image, np.ndarray) and hasattr(value, "header") and image.dtype.kind == "u":
-        image = in_metres(image)  # millimetres, by ROS's convention (REP 118)
-    return DepthObject(image)
-
-
-def stored_depth(value: Any) -> Any:
-    """The depth image of a ROS message as it is stored: integers in a unit that it does not tell, or floats in metres;
-    anything else as it is. Raises InputError for an image that is none."""
     image = image_from(value)
-    if image is not value and isinstance(image, np.ndarray) and image.dtype.kind == "i":
+    if image is not value and isinstance(image, np.ndarray) and hasattr(value, "header") and image.dtype.kind == "u":
+        return DepthObject(in_metres(image), in_millimetres=True)  # by ROS's convention (REP 118)
+    elif image is not value and isinstance(image, np.ndarray) and image.dtype.kind == "i":
         raise InputError(f"depth: encoding {value.encoding!r} is one of labels; send 16UC1 or 32FC1")
-    return image
+    return DepthObject(image)
 
 
 def image_from(value: Any) -> Any:
