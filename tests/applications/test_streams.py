@@ -12,7 +12,7 @@ from PIL import Image
 from sequences import SequenceConfig, SequenceFrame, render_sequence
 
 from helpers.headless_browser import HeadlessBrowser
-from omad.applications.tracking.frames import Clock
+from omad.applications.tracking.frames import Clock, frames_of, read_times
 from omad.applications.tracking.streams import taken
 from omad.cli.main import run
 from omad.data.procedural import generate
@@ -337,3 +337,15 @@ def test_a_track_is_recorded_for_rerun_and_shown_live(folder, capsys, monkeypatc
 def test_names_tell_dates_stamps_and_frames(one, other, seconds):
     clock = Clock(10.0)
     assert [clock(Path(one)), clock(Path(other))] == pytest.approx([0.0, seconds], abs=1e-6)
+
+
+def test_times_count_from_the_earliest_frame(folder):
+    clock = Clock(30.0, {f"{index:04d}.png": 5.0 - index for index in range(20)})
+    frames = frames_of(folder, clock)
+    assert [frame.time for frame in frames] == list(range(len(frames)))
+    assert [frame.path.name for frame in frames] == sorted((frame.path.name for frame in frames), reverse=True)
+
+
+def test_a_table_of_times_may_hold_empty_lines(tmp_path):
+    (tmp_path / "times.csv").write_text("name,seconds\n\na,1\nb,2.5\n\n")
+    assert read_times(tmp_path / "times.csv") == {"a": 1.0, "b": 2.5}

@@ -17,7 +17,6 @@ from sequences import SequenceConfig, SequenceFrame, render_sequence
 import omad
 from helpers.headless_browser import HeadlessBrowser
 from omad.applications.tracking import page, pictures
-from omad.applications.tracking.frames import Clock, frames_of, read_times
 from omad.applications.tracking.motion import MotionConfig, MotionFilter, Placement
 from omad.applications.tracking.sequence import TrackedSequence
 from omad.applications.tracking.tracker import TrackedEstimate, TrackedStates, TrackerConfig
@@ -290,13 +289,6 @@ def test_times_that_do_not_fit_are_refused(folder, content, capsys):
     assert "times" in capsys.readouterr().err
 
 
-def test_times_count_from_the_earliest_frame(folder):
-    clock = Clock(30.0, {f"{index:04d}.png": 5.0 - index for index in range(20)})
-    frames = frames_of(folder, clock)
-    assert [frame.time for frame in frames] == list(range(len(frames)))
-    assert [frame.path.name for frame in frames] == sorted((frame.path.name for frame in frames), reverse=True)
-
-
 def test_an_empty_folder_is_refused(tmp_path):
     assert run(["track", str(tmp_path), *GIVEN]) == 2
 
@@ -310,11 +302,6 @@ def test_tracker_wants_rising_times():
     for wrong in ("1", None, np.nan):
         with pytest.raises(InputError, match="must be seconds"):
             tracker(None, wrong)
-
-
-def test_a_table_of_times_may_hold_empty_lines(tmp_path):
-    (tmp_path / "times.csv").write_text("name,seconds\n\na,1\nb,2.5\n\n")
-    assert read_times(tmp_path / "times.csv") == {"a": 1.0, "b": 2.5}
 
 
 def test_a_person_reads_degrees_and_centimetres():

@@ -198,21 +198,22 @@ def test_urdf_passes_a_strict_check(estimate, robot, tmp_path):
             assert {"lower", "upper", "effort", "velocity"} == set(joint.find("limit").attrib)
 
 
-def test_glb_is_the_tree_and_its_animation_moves_the_joints(estimate, tmp_path):
-    save_glb(estimate, tmp_path / "object.glb")
-    data = (tmp_path / "object.glb").read_bytes()
+def read_glb(path: Path) -> tuple[dict, list[np.ndarray]]:
+    """Its JSON, and the numbers of each accessor."""
+    data, numbers = path.read_bytes(), []
     magic, version, length, json_length = struct.unpack("<4sIII", data[:16])
     assert (magic, version, length) == (b"glTF", 2, len(data))
-    content = json.loads(data[20 : 20 + json_length])
-    start = 28 + json_length
-    numbers = [
-        np.frombuffer(
-            data, "<f4" if a["componentType"] == 5126 else "<u4",
-            content["bufferViews"][a["bufferView"]]["byteLength"] // 4,
-            start + content["bufferViews"][a["bufferView"]]["byteOffset"],
-        ).reshape(a["count"], -1)
-        for a in content["accessors"]
-    ]  # fmt: skip
+    content, stored = json.loads(data[20 : 20 + json_length]), data[28 + json_length :]
+    for a in content["accessors"]:
+        view, kind = content["bufferViews"][a["bufferView"]], "<f4" if a["componentType"] == 5126 else "<u4"
+        values = np.frombuffer(stored, kind, view["byteLength"] // 4, view["byteOffset"])
+        numbers.append(values.reshape(a["count"], -1))
+    return content, numbers
+
+
+def test_glb_is_the_tree_and_its_animation_moves_the_joints(estimate, tmp_path):
+    save_glb(estimate, tmp_path / "object.glb")
+    content, numbers = read_glb(tmp_path / "object.glb")
     (animation,) = content["animations"]
     for index, joint in enumerate(estimate.joints):
         channel, sampler = animation["channels"][index], animation["samplers"][index]
@@ -239,12 +240,8 @@ def test_glb_turns_all_the_way_where_a_joint_turns_many_times(tmp_path):
     screw = made_up((0,), ("revolute",))
     far = replace(screw, joints=(replace(screw.joints[0], limits=(-0.5, 80.0)),))
     save_glb(far, tmp_path / "object.glb")
-    data = (tmp_path / "object.glb").read_bytes()
-    (json_length,) = struct.unpack("<I", data[12:16])
-    content = json.loads(data[20 : 20 + json_length])
-    stored = content["accessors"][content["animations"][0]["samplers"][0]["output"]]
-    start = 28 + json_length + content["bufferViews"][stored["bufferView"]]["byteOffset"]
-    turns = Rotation.from_quat(np.frombuffer(data, "<f4", 4 * stored["count"], start).reshape(-1, 4))
+    content, numbers = read_glb(tmp_path / "object.glb")
+    turns = Rotation.from_quat(numbers[content["animations"][0]["samplers"][0]["output"]])
     steps = (turns[:-1].inv() * turns[1:]).as_rotvec() @ far.canonical_axes[0]  # the short way, as viewers go
     assert np.ptp(np.cumsum(steps)) == pytest.approx(80.5, abs=1e-3)
 

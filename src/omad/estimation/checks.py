@@ -140,7 +140,7 @@ def no_surer(estimate: Estimate, probability: float) -> Estimate:
 
 def if_also(estimate: Estimate, probability: float) -> Estimate:
     """The estimate, that it is right only if something else is, too, of a ``probability``: as likely as their product,
-    which keeps its word better than the smaller of both (``benchmarks/accuracy/bench_auto_probability.py``)."""
+    which keeps its word better than the smaller of both (``benchmarks/certainty/bench_auto_probability.py``)."""
     return no_surer(estimate, (estimate.probability or 0.0) * probability)
 
 

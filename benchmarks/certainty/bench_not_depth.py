@@ -1,7 +1,7 @@
 """How often images that hold distances from the camera's centre or inverse depth in place of depth are told, and right
 ones taken for such.
 
-    OMP_NUM_THREADS=1 python benchmarks/accuracy/bench_not_depth.py [--scenes 60]
+    OMP_NUM_THREADS=1 python benchmarks/certainty/bench_not_depth.py [--scenes 60]
 
 Scenes are those of ``bench_detect.py``: three to six unseen objects on a table, a floor, a table beside a wall or a
 floor before one, boxes and cans among them, with camera noise.

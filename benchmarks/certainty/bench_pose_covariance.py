@@ -1,6 +1,6 @@
 """Whether the base is as near as ``Estimate.base_std`` says, and as ``Estimate.covariance`` does.
 
-    OMP_NUM_THREADS=1 python benchmarks/accuracy/bench_pose_covariance.py [--categories laptop drawer]
+    OMP_NUM_THREADS=1 python benchmarks/certainty/bench_pose_covariance.py [--categories laptop drawer]
         [--objects 100] [--spoilt] [--json]
 
 Noisy standard views of unseen procedural objects, one each; with ``--spoilt`` such views as confidence is learned from,

@@ -1,6 +1,6 @@
 """How well answers of ``--category auto`` know that category and joint states are right, by their probability.
 
-    OMP_NUM_THREADS=1 python benchmarks/accuracy/bench_auto_probability.py [--models FOLDER] [--views 12]
+    OMP_NUM_THREADS=1 python benchmarks/certainty/bench_auto_probability.py [--models FOLDER] [--views 12]
 
 It is made of that of the category and the answer's own: multiplied (as it is done), their odds against added up, or the
 smaller of both. Views are standard ones with camera noise, of procedural and unusual test objects, of strangers, and of

@@ -1,6 +1,6 @@
 """How often a wrong focal length is told, and the right one doubted.
 
-    OMP_NUM_THREADS=1 python benchmarks/accuracy/bench_focal_length.py [--categories laptop scissors] [--views 30]
+    OMP_NUM_THREADS=1 python benchmarks/certainty/bench_focal_length.py [--categories laptop scissors] [--views 30]
 
 Views of unseen procedural objects with camera noise, given with the right focal length, two thirds of it, and one and a
 half times as much. A wrong one is told where the check-list holds `intrinsics`.
