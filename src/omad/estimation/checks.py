@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Self
 
 import numpy as np
 
@@ -10,6 +9,7 @@ from omad.common.errors import InputError
 from omad.geometry.rigid import box
 from omad.model.surfaces.agreement import Agreement
 from omad.objects.category import Category
+from omad.objects.sizes import is_of_size, usual_size, wrong_scale
 from omad.sensing.cutting.not_depth import ENOUGH, Z_BUFFER, NotDepth, may_be_z_buffer, what_else
 from omad.sensing.observation import Observation
 
@@ -20,8 +20,6 @@ from .known import Known
 
 AsksAgain = Callable[[Observation, Known], Estimate]
 
-USUAL_SIZE = 2.5
-"""Diagonal of an object's cloud in category units; 1.5 to 4 in standard views."""
 DOUBTFUL = 0.07
 """Expected keypoint error (geometric mean, category units; 0.03 is usual) above which the network is not to be
 trusted."""
@@ -29,17 +27,11 @@ FEW_POINTS = 500
 """Standard views, which networks are trained on, have at least so many."""
 HIGH_RESIDUAL = 0.07
 """RMS distance of model and seen keypoints in category units."""
-ODD_SIZE = 4.0
-"""A cloud so many times larger or smaller than usual is none of the category at its size."""
-FACTORS = (0.001, 0.01, 0.1, 0.2, 5.0, 10.0, 100.0, 1000.0)
-"""By which depth scales are wrong: millimetres for metres, tenths of millimetres or 1/5000 m for millimetres ..."""
 STRAY = 0.01
 """Share of a cloud's points, at either end, that are no sign of its size: of what stands on a table single pixels of
 the mask's edge show the floor behind it."""
 SAMPLED = 10_000
 """Points at most, of which it is told."""
-POINT = 1e-9
-"""Metres that no object is smaller than."""
 FOCAL_LENGTHS = (0.5, 2 / 3, 0.8, 1.25, 1.5, 2.0)
 """Of the one given, which may be right instead: those of other sizes of the image."""
 BETTER = 1.5
@@ -144,11 +136,6 @@ def if_also(estimate: Estimate, probability: float) -> Estimate:
     return no_surer(estimate, (estimate.probability or 0.0) * probability)
 
 
-def usual_size(category: Category) -> float:
-    """Metres, diagonal of a cloud of it."""
-    return USUAL_SIZE * category.metres_per_unit
-
-
 def size_doubts(observation: Observation, category: Category, depth_scale: float | None = None) -> Iterator[Check]:
     """Where the cloud cannot be an object of the category at its size: a wrong depth scale, mostly."""
     points = observation.points
@@ -156,7 +143,7 @@ def size_doubts(observation: Observation, category: Category, depth_scale: float
     ends = box(points), np.quantile(few, (STRAY, 1 - STRAY), axis=0)
     size, without_strays = (float(np.linalg.norm(high - low)) for low, high in ends)
     usual = usual_size(category)
-    if any(usual / ODD_SIZE < each < ODD_SIZE * usual for each in (size, without_strays)):
+    if any(is_of_size(each, usual) for each in (size, without_strays)):
         return
     what = f"the cloud is {size:.3g} m across, of a {category.name} about {usual:.2g} m is usual"
     depth, mask = observation.depth, observation.mask
@@ -171,33 +158,6 @@ def size_doubts(observation: Observation, category: Category, depth_scale: float
         if whole:
             why, cure = f"{why}, or the whole frame was taken for the object", f"{scale.cure}, or {cut_out}"
     yield Check("size", what, why, cure)
-
-
-@dataclass(frozen=True)
-class WrongScale:
-    """A depth scale that would explain an odd size."""
-
-    why: str
-    cure: str
-
-    @classmethod
-    def of(cls, factor: float, depth_scale: float | None) -> Self:
-        """Depth has to be taken so many times; ``depth_scale``: metres per number that it was read with, where
-        known."""
-        units = {0.001: "millimetres read as metres", 1000.0: "metres read as millimetres"}
-        wrong = f"{factor:g} times too small" if factor > 1 else f"{1 / factor:g} times too large"
-        told = depth_scale is not None
-        cure = f"--depth-scale {depth_scale * factor:g}" if told else f"multiply the depth scale by {factor:g}"
-        return cls(f"depth looks like {units.get(factor, f'lengths {wrong}')}", cure)
-
-
-def wrong_scale(size: float, usual: float, depth_scale: float | None = None) -> WrongScale | None:
-    """What depth must have been read wrongly by, where something is ``size`` metres large and ``usual`` is another;
-    None where no common mistake explains it. ``depth_scale``: metres per number that it was read with, where known."""
-    factor = min(FACTORS, key=lambda factor: abs(np.log(max(size, POINT) * factor / usual)))
-    if not usual / ODD_SIZE < size * factor < ODD_SIZE * usual:
-        return None
-    return WrongScale.of(factor, depth_scale)
 
 
 def depth_doubts(observation: Observation) -> Iterator[Check]:

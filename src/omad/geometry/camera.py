@@ -1,15 +1,25 @@
 """The camera: OpenCV axes (x right, y down, z forward), pixel centres at integers, a pinhole with or without a lens."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
+
+from omad.common.errors import InputError
 
 from .lens import Distortion
 from .rigid import box
 
 NEAREST = 1e-6
 """Metres. Points nearer than this, and those behind the camera, are projected as if they were so far."""
+WIDEST = 20.0
+"""Focal lengths that an image is wide at most: a pinhole then sees 169 degrees, and a fisheye lens needs not 4."""
+OFF_CENTRE = 0.12
+"""Of the image's side, by how much a principal point may be off its middle; of cameras it is by a few per cent, but an
+image may have been cropped."""
+OBLONG = 0.1
+"""Share by which fx and fy of sensors with square pixels differ at most."""
 
 
 @dataclass(frozen=True)
@@ -38,8 +48,11 @@ class Camera:
 
     @classmethod
     def from_K(cls, K: np.ndarray, width: int, height: int, distortion: Distortion | None = None) -> Self:
-        """Of an intrinsic matrix (3, 3)."""
+        """Of an intrinsic matrix (3, 3). Raises InputError for one in shares of the image's size."""
         K = np.asarray(K)
+        if min(K[0, 0] / width, K[1, 1] / height) * WIDEST < 1:
+            shares = f"intrinsics: fx {K[0, 0]:g} and fy {K[1, 1]:g} are no pixels of a {width}x{height} image"
+            raise InputError(f"{shares}; of shares of its size take fx and cx times its width, fy and cy its height")
         return cls(width, height, float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2]), distortion)
 
     @classmethod
@@ -98,3 +111,20 @@ class Camera:
 
 STANDARD_CAMERA = Camera(640, 480, 600.0, 600.0, 319.5, 239.5)
 """Camera of the standard views; its principal point is the image centre."""
+
+
+def intrinsics_doubts(camera: Camera) -> Iterator[str]:
+    """Intrinsics of another image are the commonest mistake that nothing else shows."""
+    sides = ((camera.cx, camera.width), (camera.cy, camera.height))
+    off = max(abs(centre / max(side - 1, 1) - 0.5) for centre, side in sides)
+    if off > OFF_CENTRE and min(camera.width, camera.height) > 1:
+        middle, asked = (camera.width / 2, camera.height / 2), "are the intrinsics those of this image?"
+        if np.allclose((camera.fx, camera.fy), middle, rtol=0.1):
+            asked = "are they fx, fy, cx, cy, in this order?"
+        elif np.allclose((camera.cy, camera.cx), middle, rtol=0.1):
+            asked = "is the image transposed?"
+        image = f"{camera.width}x{camera.height} image: {asked}"
+        yield f"principal point ({camera.cx:.0f}, {camera.cy:.0f}) is far from the middle of the {image}"
+    elif abs(np.log(camera.fx / camera.fy)) > OBLONG:
+        asked = "right only where the image was stretched; are they fx, fy, cx, cy, in this order?"
+        yield f"fx is {camera.fx:g} and fy {camera.fy:g}: {asked}"

@@ -10,7 +10,7 @@ import numpy as np
 
 from omad.common.arrays import as_numpy, numbers
 from omad.common.errors import InputError, NothingSeen, shown
-from omad.geometry.camera import Camera
+from omad.geometry.camera import Camera, intrinsics_doubts
 from omad.geometry.lens import Distortion
 from omad.geometry.transforms import MIRROR_X
 
@@ -29,9 +29,6 @@ NEAREST, FEW = 0.05, 0.01
 """Of a cloud: points nearer than this share of its distance along z are wrong, where they are not more than this."""
 LOST = 0.1
 """Of the points, how many may lie beyond an image whose lens is undone."""
-OFF_CENTRE = 0.12
-"""Of the image's side, by how much a principal point may be off its middle; of cameras it is by a few per cent, but an
-image may have been cropped."""
 
 Segmentation = Literal["plane"]
 
@@ -150,7 +147,7 @@ class Observation:
                 where = "outside of the image as it is without its lens, and were left out"
                 warnings += (f"{lost:.0%} of the points lie {where}; turn the camera towards the object",)
             points, pixels, seen_at = points[kept], pixels[kept].astype(int), seen_at[kept]
-        warnings = _doubts(camera) + odd_mask(mask, given) + far + warnings
+        warnings = tuple(intrinsics_doubts(camera)) + odd_mask(mask, given) + far + warnings
         points, seen_in = np.ascontiguousarray(points, dtype=np.float32), {"every": every, "seen_at": seen_at}
         seen = cls(points, depth, camera, pixels, chosen, warnings, color, **seen_in)
         return seen.without_strays() if drop_flying else seen
@@ -380,18 +377,3 @@ def _select(
         need = f"{MIN_POINTS} are needed; {'check K' if segment is None else 'give a mask or a box'}"
         raise NothingSeen(f"{segment or 'points'}: only {len(kept)} of {len(points)} points are left, {need}")
     return kept, warnings
-
-
-def _doubts(camera: Camera) -> tuple[str, ...]:
-    """Intrinsics of another image size are the commonest mistake that nothing else shows."""
-    sides = ((camera.cx, camera.width), (camera.cy, camera.height))
-    off = max(abs(centre / max(side - 1, 1) - 0.5) for centre, side in sides)
-    if off <= OFF_CENTRE or min(camera.width, camera.height) == 1:
-        return ()
-    middle, asked = (camera.width / 2, camera.height / 2), "are the intrinsics those of this image?"
-    if np.allclose((camera.fx, camera.fy), middle, rtol=0.1):
-        asked = "are they fx, fy, cx, cy, in this order?"
-    elif np.allclose((camera.cy, camera.cx), middle, rtol=0.1):
-        asked = "is the image transposed?"
-    image = f"{camera.width}x{camera.height} image: {asked}"
-    return (f"principal point ({camera.cx:.0f}, {camera.cy:.0f}) is far from the middle of the {image}",)

@@ -39,7 +39,12 @@ KNOWN = sorted({*DEPTH_FORMATS, *CLOUD_FORMATS} - {".txt"})
 INTRINSICS = "--intrinsics"
 NEED_INTRINSICS = "a depth image needs --intrinsics fx,fy,cx,cy or a file with them (camera.json beside it is read)"
 APART = 0.01
-"""Share by which a scale or a focal length given differs from the one that a file beside the image tells."""
+"""Share by which a scale given differs from the one that a file beside the image tells; of the focal length, by which a
+camera's numbers do."""
+NUMBERS = np.array([["fx", "skew", "cx"], ["skew", "fy", "cy"], ["", "", ""]])
+"""What those of a matrix of intrinsics are called."""
+APART_CAMERAS = 3.0
+"""Metres between depth and colour camera that no rig has."""
 NO_FRAME = FrameOptions()
 Find = Callable[[Observation, Sequence[float] | None], Observation]
 """Of a whole frame the object, within a box where one is given."""
@@ -111,6 +116,8 @@ class InputReader:
         if self.mask is not None or self.box is not None or self.mask_id is not None:
             cure = "cut the cloud out" if self.without_masks else "cut the cloud out, or use --segment plane"
             raise InputError(f"--mask and --box need a depth image; {cure}")
+        if self.color is not None or self.colour is not None:
+            raise InputError("--color and --color-intrinsics need a depth image; leave them out of a cloud")
         points = read_cloud(file) * (self.depth_scale or 1.0)
         if self.find is None or self.segment is not None:
             return Observation.from_points(points, self.segment, self.drop_flying)
@@ -163,12 +170,16 @@ class InputReader:
         pairs: list[tuple[str, float | None, float | None, Path | None]] = [("--depth-scale", *given)]
         if self.camera is not None and self.depth_scale is None:
             pairs.append(("the depth_scale of --intrinsics", self.camera.depth_scale, *given[1:]))
-        if self.camera is not None and beside.camera is not None:
-            focal_lengths = self.camera.K[0, 0], beside.camera.K[0, 0]
-            pairs.append(("the focal length of --intrinsics", *focal_lengths, beside.camera_file))
         for what, given, told, teller in pairs:
             if given is not None and told is not None and abs(given / told - 1) > APART:
                 yield f"{what} is {given:g}, but {teller} tells {told:g}: leave it out to use that"
+        if self.camera is not None and beside.camera is not None:
+            given, told = self.camera.K, beside.camera.K
+            apart = np.abs(given - told)
+            if apart.max() > APART * told[0, 0]:
+                place = np.unravel_index(apart.argmax(), apart.shape)
+                what = f"{NUMBERS[place]} of --intrinsics is {given[place]:g}, but {beside.camera_file}"
+                yield f"{what} tells {told[place]:g}: leave it out to use that"
 
     def observe(
         self,
@@ -264,7 +275,10 @@ def _colour_camera(frame: CameraOptions, region: bool) -> ColourCamera | None:
         raise InputError("--color-intrinsics and --color-extrinsics: give both, or neither for depth aligned to colour")
     if not region:
         raise InputError("--color-intrinsics: serves a --color, --mask or --box of the colour image; give one of them")
-    return ColourCamera(read_camera(intrinsics), read_transform(extrinsics, "T_color_depth"))
+    T_color_depth = read_transform(extrinsics, "T_color_depth")
+    if (apart := float(np.linalg.norm(T_color_depth[:3, 3]))) > APART_CAMERAS:
+        raise InputError(f"{extrinsics}: T_color_depth moves by {apart:.3g} m; give its translation in metres")
+    return ColourCamera(read_camera(intrinsics), T_color_depth)
 
 
 def input_files(paths: Sequence[Path]) -> list[Path]:

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from omad.common.errors import NothingSeen
-from omad.estimation.checks import usual_size, wrong_scale
 from omad.geometry.rigid import diagonal
+from omad.objects.sizes import usual_size, wrong_scale
 from omad.sensing.cutting.segmentation import things_before_planes
 from omad.sensing.observation import Observation
 

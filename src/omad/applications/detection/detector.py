@@ -11,13 +11,13 @@ from omad.common.arrays import as_doubles
 from omad.common.errors import InputError
 from omad.estimation.categories.late import AnyEstimator, LateEstimator
 from omad.estimation.categories.proposals import Proposals
-from omad.estimation.checks import FACTORS, WrongScale, usual_size, wrong_scale
 from omad.estimation.estimate import Estimate, chance, plain
 from omad.geometry.rigid import box as bounds
 from omad.geometry.rigid import diagonal
 from omad.model.checkpoint import shipped_categories
 from omad.model.proposals.network import Proposer, shipped_proposer
 from omad.objects.category_file import get_category
+from omad.objects.sizes import FACTORS, WrongScale, usual_size, wrong_scale
 from omad.sensing.cutting.angles import angle_doubts
 from omad.sensing.cutting.not_depth import what_else
 from omad.sensing.cutting.segmentation import WITHIN, things_alone, things_before_planes

@@ -17,7 +17,6 @@ from scipy.spatial import ConvexHull
 
 from omad.common.files import write_json
 from omad.estimation.categories.fronts import front_says
-from omad.estimation.checks import usual_size
 from omad.estimation.estimate import Estimate
 from omad.estimation.evidence import explanation, measure_evidence
 from omad.estimation.part_labels import OUTSIDE
@@ -25,6 +24,7 @@ from omad.geometry.rigid import diagonal
 from omad.model.fronts.network import shipped_front_net
 from omad.model.prior import OmadPrior
 from omad.objects.category import Category
+from omad.objects.sizes import usual_size
 from omad.sensing.observation import Observation
 
 FITTED = Path(__file__).with_name("judgement.json")
