@@ -66,6 +66,13 @@ def test_a_box_around_an_object_gives_that_object() -> None:
     assert sum(right) >= len(right) - 1
 
 
+def test_a_box_that_cuts_its_object_is_told_of() -> None:
+    placed = next(placed for placed in scene(0).objects if placed.category == "laptop")
+    x1, y1, x2, y2 = box_around(placed)
+    told = [finder("laptop")(frame(0), (x1, y1, end, y2)).warnings for end in (x2, (x1 + 2 * x2) / 3)]
+    assert ["give a larger box" in " ".join(warnings) for warnings in told] == [False, True]
+
+
 def test_without_a_box_one_of_the_category_is_taken_and_others_are_told_of() -> None:
     told_right = []
     for index in SCENES:

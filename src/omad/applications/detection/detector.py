@@ -41,6 +41,8 @@ MARGIN, TOUCHED = 0.05, 0.02
 cut out."""
 MOST = 0.5
 """Where one thing holds more than this share of what a frame shows, it may be a table with all that is on it."""
+WHOLE = 0.9
+"""A thing of which less than this share lies in the box is cut by it."""
 CLEAR = 8.0
 """What is so many times as high as the lowest thing that can be told from a plane is seen well enough."""
 
@@ -156,11 +158,11 @@ class Detector:
         """The same, with what cannot be found."""
         inside = None if box is None else frame.inside(box)
         found = things_before_planes(frame.points, LEAST)
-        seen = [frame.part(thing) for thing in _of_box(found.clusters, inside)]
+        seen = _of_box(frame, found.clusters, inside)
         judged = self._judged(seen, found.planes)
         if measured_margin(frame) < TOUCHED and len(found.planes):
             # cut out already, perhaps: then the planes were an object's own, and what is left of it looks like another
-            seen = [frame.part(thing) for thing in _of_box(things_alone(frame.points, LEAST), inside)]
+            seen = _of_box(frame, things_alone(frame.points, LEAST), inside)
             alone = self._judged(seen, np.zeros((0, 4)))
             if (_shown(alone) > _shown(judged)).all():
                 judged, found = alone, replace(found, planes=found.planes[:0])
@@ -293,14 +295,20 @@ def _shown(judged: Sequence[Detection]) -> np.ndarray:
     return np.array([sure, sum(len(one.observation.points) for one in objects)])
 
 
-def _of_box(things: Sequence[np.ndarray], inside: np.ndarray | None) -> list[np.ndarray]:
-    """The things that a box is about, points ``inside`` (N,) of it: those that mostly lie in it, or where there are
-    none, as the thing touches others, all that reaches inside."""
+def _of_box(frame: Observation, things: Sequence[np.ndarray], inside: np.ndarray | None) -> list[Observation]:
+    """The things of a ``frame`` that a box is about, points ``inside`` (N,) of it: those that mostly lie in it, or
+    where there are none, as the thing touches others, all that reaches inside. Warns of what the box cuts off."""
     if inside is None:
-        return list(things)
+        return [frame.part(thing) for thing in things]
     cut = [(thing[inside[thing]], len(thing)) for thing in things]
     cut = [(part, of) for part, of in cut if len(part) >= LEAST]
-    return [part for part, of in cut if len(part) >= WITHIN * of] or [part for part, _ in cut]
+    chosen = [(part, of) for part, of in cut if len(part) >= WITHIN * of] or cut
+    seen = []
+    for part, of in chosen:
+        beyond = f"{1 - len(part) / of:.0%} of what was found in the box lies outside of it, and was left out"
+        told = (f"{beyond}: give a larger box where that is the object's",) if len(part) < WHOLE * of else ()
+        seen.append(frame.part(part).warned(*told))
+    return seen
 
 
 def _scaled(seen: Observation, factor: np.float32) -> Observation:
