@@ -83,6 +83,7 @@ def test_options_of_one_image_hold_for_tracks(folder, sequence, capsys):
     assert run(["track", str(folder), *K, *GIVEN, "--gravity=0,1,0", "--fps", "10"]) in (0, 1)
     assert run(["track", str(folder), *K, *GIVEN, "--gravity", "world"]) == 2
     assert run(["track", str(folder), *K, *GIVEN, "--formats", "doc"]) == 2
+    assert run(["track", str(folder), *K, *GIVEN, "--world", "world", "--static-base"]) == 2
     Path("world/0002.txt").unlink()
     summary, lines = tracked(capsys, str(folder), *K, "--world", "world", "--fps", "10", code=2)
     assert "T_world_camera" in summary["refused"][0]["reason"]

@@ -189,3 +189,10 @@ def test_a_killed_run_goes_on_where_it_was(capsys):
         assert mended["name"] == whole["name"]
         # processes round matrix products differently, which the fit may make more of
         assert mended["joints"][0]["state"] == pytest.approx(whole["joints"][0]["state"], abs=0.01)
+
+
+def test_any_category_is_refused_where_one_has_to_be_named(capsys):
+    save_png("views/d.png")
+    for command in (["bulk", "views", "--output", "x.jsonl"], ["track", "views"]):
+        line = refused(capsys, *command, *K, "--category", "auto")
+        assert line.startswith("omad: auto: stands for any category, here one has to be named (cabinet_one_door, ")

@@ -130,7 +130,10 @@ def test_a_catalogue_of_ones_own_images(capsys):
     save_png("images/mine/b.png")
     np.save("images/lone.npy", cloud())
     Path("images/broken.png").write_text("")
-    made = build(capsys, "--source", "images", *K)
+    command = ["index", "build", *OF_LAPTOP, "--output", "index.npz", "--source", "images", *K]
+    assert run(command) == 2
+    assert capsys.readouterr().err.splitlines()[-1].startswith("omad: images/broken.png: ")
+    made = answer(capsys, *command, code=2)
     assert (made["entries"], made["objects"]) == (2, 2)
     assert [Path(refusal["name"]).name for refusal in made["refused"]] == ["broken.png"]
     assert sorted(entry.name for entry in ShapeIndex.load("index.npz").entries) == ["lone", "mine"]

@@ -18,6 +18,7 @@ import omad
 from omad.common.errors import InputError, as_line, named
 from omad.common.files import check_folder, replacing, write_json
 from omad.common.lazy import lazy_imports
+from omad.objects.builtin import AUTO
 from omad.sensing.input_options import CameraOptions, FrameOptions, InputOptions
 
 from .answer import Answer, state, state_and_std, table
@@ -43,7 +44,6 @@ CHOICE = (
     f"{BUILT_IN}; auto: the likeliest are tried, with the one of --weights where these are given, and ranked by how"
     f" well they explain what is seen; {OWN}"
 )
-AUTO = "auto"
 NEAR = 0.2
 """A category with this probability is named beside the likeliest one."""
 ESTIMATE = "estimate.json"

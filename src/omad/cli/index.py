@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import re
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
@@ -69,7 +71,8 @@ class IndexBuild(CategoryCommand):
     already. What was interrupted goes on when the same command is given again."""
     source: str = "procedural"
     """procedural; a folder of URDF / PartNet-Mobility models; what ``omad render`` made, or an ArtImage root;
-    or a folder of depth images and clouds (a sub-folder an object, or each file an object)."""
+    or a folder of depth images and clouds (a sub-folder an object, or each file an object). One that cannot be read is
+    named on stderr and under "refused", the others go in, and the exit code is 2."""
     objects: int = 50
     """Procedural objects (those that no training has seen)."""
     metric: Literal["keypoints", "beta", "whitened"] = "keypoints"
@@ -101,14 +104,14 @@ class IndexBuild(CategoryCommand):
         names = {entry.name for entry in index.entries}
         record = {"index": str(self.output), "category": index.space.category, "metric": self.metric}
         record |= {"backend": self.backend, "entries": len(index), "objects": len(names), "refused": found.refused}
-        return Answer(record | {"doubtful": found.doubtful})
+        return self._answer(record | {"doubtful": found.doubtful})
 
     def _on_disk(self, estimator: omad.Estimator, space: Space) -> Answer:
         index, refused, doubtful = LargeIndex.create(self.output, space), list[dict[str, str]](), list[dict[str, Any]]()
         made = self.source in NAMES or not Path(self.source).is_dir()  # by a generator
         source = f"{everywhere(self.source)} {self.seed}" if made else everywhere(self.source)
         images = kind_of(self.source).images is not None
-        files, models, names = [] if images else self._files(), list[ObjectModel](), list[str]()
+        files, models, names = [] if images else self._files, list[ObjectModel](), list[str]()
         if files:
             names = [file.relative_to(self.source).as_posix() for file in files]
         elif not images:
@@ -122,7 +125,15 @@ class IndexBuild(CategoryCommand):
             raise self._nothing_usable(refused)
         record = {"index": str(self.output), "category": space.category, "metric": self.metric}
         record |= {"backend": self.backend, "entries": len(index), "refused": refused, "doubtful": doubtful}
-        return Answer(record)
+        return self._answer(record)
+
+    def _answer(self, record: dict[str, Any]) -> Answer:
+        """With a line on stderr for each file of one's own that cannot be read, and then exit code 2; models that do
+        not fit are nothing unusual."""
+        bad = record["refused"] if self._files else []
+        for one in bad:
+            print(as_line(f"omad: {one['reason']}"), file=sys.stderr)
+        return Answer(record, code=2 if bad else 0)
 
     def _nothing_usable(self, refused: list[dict[str, str]]) -> InputError:
         first = f": {refused[0]['reason']}" if refused else ""
@@ -164,6 +175,7 @@ class IndexBuild(CategoryCommand):
         net = prior_of(find_weights(self.weights or self.category), self.device)
         yield from portions_of_models(net, models[taken:], self.source)
 
+    @cached_property
     def _files(self) -> list[Path]:
         """Depth images and clouds, where the source is a folder of such."""
         folder = Path(self.source)
@@ -179,7 +191,7 @@ class IndexBuild(CategoryCommand):
         if kind_of(self.source).images is not None:
             views = load_views(self.source, category, 1, 1, self.seed, "off", self.broken)
             seen, refused = catalogue.seen_views(views.views, views.total, self.source, views.refused), views.refused
-        elif files := self._files():
+        elif files := self._files:
             seen = self._read(Path(self.source), files, refused)
         else:  # models, whose meshes look like clouds
             net = prior_of(find_weights(self.weights or self.category), self.device)

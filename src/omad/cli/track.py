@@ -106,6 +106,8 @@ class Track(CategoryCommand):
         check_formats(self.formats)
         stream = self.frames == STREAM
         places = None if self.world is None else CameraPlaces(self.world)
+        if self.static_base and places is not None and places.one is None:
+            raise InputError("--static-base: the camera stands still, but --world is a folder; leave one of them out")
         if self.gravity == "world" and places is None:
             raise InputError("--gravity world: needs --world with T_world_camera, z up")
         if self.gravity != "world":

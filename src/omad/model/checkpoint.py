@@ -19,7 +19,7 @@ from omad.common.files import write_atomic, write_json
 from omad.common.incoming import CHECKSUM, address_of, as_path, check_seal, is_file, read_sealed, readable, sealed
 from omad.common.limits import check_limit
 from omad.common.runtime import undrawn
-from omad.objects.builtin import builtin_names
+from omad.objects.builtin import AUTO, builtin_names
 from omad.objects.category import Category
 
 from .storage.fetched import fetch
@@ -149,6 +149,9 @@ def find_weights(name: str | Path) -> Path:
     if isinstance(name, Path) or os.path.dirname(name):
         raise InputError(f"{name}: no such folder; give the folder that a training wrote")
     known = shipped_categories()
+    if name == AUTO:
+        finds = "omad estimate, omad detect and omad serve find out which"
+        raise InputError(f"{AUTO}: stands for any category, here one has to be named ({', '.join(known)}); {finds}")
     raise InputError(
         f"no weights for {unknown(str(name), known)}: give a checkpoint folder (--weights) or a category with weights "
         f"({', '.join(known) or 'none'}; "

@@ -13,6 +13,8 @@ from omad.common.limits import check_limit
 from omad.geometry.joint_kinds import JointType, Motion, motion_of
 from omad.geometry.kinematics import KinematicTree
 
+from .builtin import AUTO
+
 RestRule = Literal["closed", "perpendicular", "tips together", "reaching", "zero"]
 """How geometry tells the rest state: the whole's box is smallest, the child is a quarter turn from lying flat on its
 parent, two long parts that cross at the joint point the same way, the child reaches just where ``reach`` says, or it is
@@ -26,8 +28,6 @@ SMALLEST_UNIT, LARGEST_UNIT = 1e-3, 10.0
 LONGEST_NAME = 100
 LONGEST_SIDE = 2.0
 """Of a part, as a share of the object's diagonal; 1 is the most that can be."""
-AUTO = "auto"
-"""Stands for any category, and so is the name of none."""
 CAMERA, WORLD = "camera_optical_frame", "world"
 """Frames that written objects hang on, and so the names of no part."""
 

@@ -10,7 +10,7 @@ from typing import Any
 from omad.common.errors import InputError, shown
 from omad.common.files import one_line
 from omad.estimation.estimator import Estimator
-from omad.objects.category import AUTO
+from omad.objects.builtin import AUTO
 from omad.output.page import page_text
 from omad.sensing.observation import Observation
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from omad.common.errors import InputError, shown
 from omad.common.limits import check_limit
-from omad.objects.category import AUTO
+from omad.objects.builtin import AUTO
 from omad.sensing.camera_files import parse_camera
 from omad.sensing.depth_files import parse_depth, parse_mask, parse_own_mask
 from omad.sensing.observation import Observation

@@ -14,7 +14,7 @@ from traceback import print_exception
 
 import torch
 
-from omad.objects.category import AUTO
+from omad.objects.builtin import AUTO
 
 from .asked import Asked
 from .reply import Reply

@@ -3,6 +3,8 @@
 from pathlib import Path
 
 FOLDER = Path(__file__).parent
+AUTO = "auto"
+"""Stands for any category, and so is the name of none."""
 
 
 def builtin_names() -> tuple[str, ...]:
