@@ -111,7 +111,7 @@ class IndexBuild(CategoryCommand):
         made = self.source in NAMES or not Path(self.source).is_dir()  # by a generator
         source = f"{everywhere(self.source)} {self.seed}" if made else everywhere(self.source)
         images = kind_of(self.source).images is not None
-        files, models, names = [] if images else self._files, list[ObjectModel](), list[str]()
+        files, models, names = self._files, list[ObjectModel](), list[str]()
         if files:
             names = [file.relative_to(self.source).as_posix() for file in files]
         elif not images:
@@ -179,7 +179,9 @@ class IndexBuild(CategoryCommand):
     def _files(self) -> list[Path]:
         """Depth images and clouds, where the source is a folder of such."""
         folder = Path(self.source)
-        if self.source == "procedural" or not is_path(folder) or any(map(is_urdf, folder.rglob("*"))):
+        if self.source == "procedural" or not is_path(folder) or kind_of(self.source).images is not None:
+            return []
+        if any(map(is_urdf, folder.rglob("*"))):
             return []
         files = files_in(folder, "**/[!.]*")
         catalogue.check_objects_apart(files, folder)
