@@ -20,6 +20,7 @@ from omad.data.procedural import generate
 from omad.data.rendering.standard_views import standard_view
 from omad.estimation.part_labels import OUTSIDE, LabelledPoints
 from omad.model.network_input import first_frame
+from omad.sensing.masks import as_mask
 from omad.sensing.point_choice import CELLS_SEEN, choose_points
 
 RUNTIME = importlib.util.find_spec("onnxruntime") is not None
@@ -101,6 +102,18 @@ def test_images_that_do_not_fit_are_named(tmp_path):
     for said, asked in wrong.items():
         with pytest.raises(ValueError, match=said):
             given.read_points(*asked)
+
+
+@needs
+def test_masks_are_taken_as_the_estimator_takes_them():
+    depth, K, inside = np.ones((4, 5)), [600.0, 600.0, 2.0, 1.5], np.arange(20).reshape(4, 5) > 11
+    noise = np.random.default_rng(0).uniform(0, 0.4, inside.shape)
+    for mask in (inside, 255 * inside.astype(np.uint8), np.where(inside, 0.9, noise), np.where(inside, 7.0, 0.0)):
+        assert (given.of_object(mask) == as_mask(mask)).all()
+        assert len(given.back_projected(depth, K, mask)) == inside.sum()
+    for mask, said in ((np.where(inside, 3.0, -2.0), "logits"), (inside + 2 * (depth > 0), "2 labels")):
+        with pytest.raises(ValueError, match=said):
+            given.of_object(mask)
 
 
 @needs

@@ -13,12 +13,12 @@ from sequences import SequenceConfig, SequenceFrame, render_sequence
 
 from helpers.headless_browser import HeadlessBrowser
 from omad.applications.tracking.frames import Clock, frames_of, read_times
-from omad.applications.tracking.streams import taken
+from omad.applications.tracking.streams import recorded, taken
 from omad.cli.main import run
 from omad.data.procedural import generate
 from omad.objects.category_file import get_category
 from omad.sensing.foreign import bags
-from omad.sensing.foreign.bags import Topics, read_bag
+from omad.sensing.foreign.bags import RecordedFrame, Topics, read_bag
 from omad.sensing.foreign.images import depth_from, image_from
 
 K = ["--intrinsics", "600,600,319.5,239.5"]
@@ -108,10 +108,16 @@ def test_the_page_has_a_slider_for_time(folder, capsys, tmp_path):
 
 
 def write_bag(
-    path: Path, sequence: list[SequenceFrame], kind: str, late: int = 0, info: str = DEPTH_INFO, camera=PINHOLE
+    path: Path,
+    sequence: list[SequenceFrame],
+    kind: str,
+    late: int = 0,
+    info: str = DEPTH_INFO,
+    camera=PINHOLE,
+    together: int = 1,
 ) -> Path:
-    """Depth, its camera (K, D, P) and a mask, as a ROS driver records them: the latter so many nanoseconds ``late``.
-    Half way the driver is started anew."""
+    """Depth, its camera (K, D, P) and a mask, as a ROS driver records them: the latter so many nanoseconds ``late``;
+    so many depth images are written ``together``. Half way the driver is started anew."""
     pytest.importorskip("rosbags", reason="recordings are an extra: pip install 'omad[bags]'")
     from rosbags.rosbag1 import Writer as Writer1
     from rosbags.rosbag2 import StoragePlugin
@@ -150,7 +156,8 @@ def write_bag(
             send(info, types["sensor_msgs/msg/CameraInfo"](*values), stamp + late)
             send("/mask", image((frame.depth > 0).astype(np.uint8) * 255, "mono8", header), stamp + late)
             stored = np.rint(frame.depth * 1000).astype(np.uint16)
-            send("/camera/depth/image_rect_raw", image(stored, "16UC1", header), stamp + 1000)
+            written = START + index // together * together * 100_000_000 + 1000
+            send("/camera/depth/image_rect_raw", image(stored, "16UC1", header), written)
     return path
 
 
@@ -172,7 +179,7 @@ def test_recordings_are_tracked(kind, sequence, folder, capsys):
 def test_masks_are_those_of_their_images_however_late_they_were_worked_out(kind, sequence):
     bag = write_bag(Path("recording.bag" if kind == "bag" else "recording"), sequence, kind, late=240_000_000)
     frames = list(read_bag(bag, Topics(mask_topic="/mask")))
-    assert [frame.name for frame in frames] == [str(START + index * 100_000_000 + 1000) for index in range(4)]
+    assert [frame.name for frame in frames] == [str(START + index * 100_000_000) for index in range(4)]
     for frame, own in zip(frames, sequence, strict=True):
         assert frame.mask is not None
         assert np.array_equal(frame.mask > 0, own.depth > 0)
@@ -192,6 +199,21 @@ def test_an_image_of_a_recording_that_cannot_be_read_leaves_the_others(sequence,
     assert [frame.time for frame in frames] == pytest.approx([0, 0.1, 0.2, 0.3])
     assert [frame.fault is None for frame in frames] == [True, False, True, True]
     assert "are no 640x480 image" in str(frames[1].fault)
+
+
+def test_frames_that_a_recorder_wrote_at_once_have_the_times_of_their_headers(sequence):
+    bag = write_bag(Path("recording"), sequence, "mcap", together=2)
+    found = list(recorded(bag, Topics()))
+    assert [frame.time for frame in found] == pytest.approx([0.0, 0.1, 0.2, 0.3])
+    assert [int(frame.path.name) - START for frame in found] == [index * 100_000_000 for index in range(4)]
+    assert not any(frame.fault for frame in found)
+
+
+def test_a_frame_that_is_no_later_than_another_is_named():
+    frames = [RecordedFrame(str(time), time, np.ones((2, 2)), None) for time in (5.0, 6.0, 6.0, 5.5, 7.0)]
+    found = list(taken(frames))
+    assert [frame.time for frame in found] == [0.0, 1.0, 1.0, 0.5, 2.0]
+    assert ["no later" in str(frame.fault) for frame in found] == [False, False, True, True, False]
 
 
 def test_a_camera_of_another_namespace_is_not_the_images(sequence, capsys):

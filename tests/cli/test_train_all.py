@@ -52,6 +52,8 @@ def test_all_steps_of_two_categories_and_what_is_done_stays(capsys, monkeypatch)
     seen = capsys.readouterr()
     assert "within 5° 5 %" in seen.out
     assert "laptop: bank of surfaces is done, and kept" in seen.err
+    line = refused(capsys, *command, "--seed", "3", "--views", "4")
+    assert "runs/laptop: belongs to a training with --views 2 (here 4), --seed 0 (here 3)" in line
 
 
 @pytest.mark.slow

@@ -59,6 +59,14 @@ def test_a_word_that_is_a_category_and_a_folder_is_refused(monkeypatch, tmp_path
     assert asked[0]["initial"].backbone.config == BACKBONES["fine"]
 
 
+def test_finished_weights_are_not_trained_over(tmp_path):
+    save(OmadNet(LAPTOP, OmadPrior(LAPTOP), BACKBONES["fine"]), tmp_path, {})
+    before = (tmp_path / "model.safetensors").read_bytes()
+    with pytest.raises(InputError, match="holds finished weights, no training to go on with"):
+        networks.TrainNet(category="laptop", output=tmp_path, initial=str(tmp_path)).run()
+    assert (tmp_path / "model.safetensors").read_bytes() == before
+
+
 @pytest.mark.parametrize("weight", [-1.0, float("nan"), float("inf")])
 def test_a_weight_that_is_none_is_refused(weight):
     with pytest.raises(InputError, match="--refinement-loss: must be 0 or more"):

@@ -16,7 +16,7 @@ from helpers.same_models import assert_same
 from omad.common.errors import InputError
 from omad.data.procedural import generate
 from omad.data.urdf_import.articulation import read_articulation, read_urdf
-from omad.data.urdf_import.folder import import_model, load_folder
+from omad.data.urdf_import.folder import import_model, load_folder, object_paths
 from omad.data.urdf_import.rest_states import RULES, rest_state
 from omad.geometry.joint_kinds import Motion
 from omad.geometry.mesh import Mesh
@@ -219,6 +219,14 @@ def test_a_right_hinged_door_is_not_taken_for_a_left_hinged_one_on_its_head(up, 
         assert found.of_other_hand == (name == "right")
 
 
+def test_objects_may_be_files_and_folders_side_by_side(tmp_path):
+    write_urdf(plain_laptop(), tmp_path / "one")
+    write_urdf(plain_laptop(), tmp_path / "packed" / "urdf")
+    file = write_urdf(plain_laptop(), tmp_path)
+    (tmp_path / "textures").mkdir()
+    assert object_paths(tmp_path) == [file, tmp_path / "one", tmp_path / "packed"]
+
+
 def test_imported_models_survive_our_own_writer(tmp_path):
     model = import_model(write_urdf(seen_otherwise(generate(DISHWASHER, 5), 2), tmp_path / "a"), DISHWASHER)
     assert_same(read_urdf(write_urdf(model, tmp_path / "b"), DISHWASHER), model, 1e-9, 1e-12)
@@ -353,7 +361,7 @@ def test_a_folder_may_be_one_object_or_hold_urdf_files(tmp_path):
     assert [model.name for model in load_folder(tmp_path / "partnet", DISHWASHER).models] == ["partnet"]
     assert [model.name for model in load_folder(tmp_path / "v1.3.urdf", DISHWASHER).models] == ["v1.3"]
     (tmp_path / "v1.3.urdf").rename(tmp_path / "V1.3.URDF")
-    assert [model.name for model in load_folder(tmp_path, DISHWASHER).models] == ["V1.3", "v1.2"]
+    assert [model.name for model in load_folder(tmp_path, DISHWASHER).models] == ["V1.3", "partnet", "v1.2"]
     assert write_urdf(plain_dishwasher(), tmp_path / "folders" / "4" / "MODEL.URDF").name == "MODEL.URDF"
     assert [model.name for model in load_folder(tmp_path / "folders", DISHWASHER).models] == ["4"]
 

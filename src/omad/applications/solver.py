@@ -162,7 +162,8 @@ class Solver:
 
     def find(self, frame: Observation, box: Sequence[float] | None) -> Observation:
         """The object in a whole frame. Raises InputError."""
-        return ObjectFinder(Detector([self.chosen] if self.chosen else list(self.all)))(frame, box)
+        detector = Detector([self.chosen] if self.chosen else list(self.all), known=self.known)
+        return ObjectFinder(detector)(frame, box)
 
     @cached_property
     def all(self) -> Sequence[AnyEstimator]:

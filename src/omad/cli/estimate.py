@@ -237,6 +237,9 @@ class Detect(CategoriesCommand):
     """Of the depth camera: fx,fy,cx,cy or a file, as for ``omad estimate``."""
     box: str | None = None
     """x1,y1,x2,y2 in pixels, half-open: objects are looked for inside."""
+    gravity: str | None = None
+    """Of objects that stand upright: x,y,z, where down is in the camera frame (y is down in a level camera). Without
+    it, cameras that were turned take sides for tops."""
     depth_scale: float | None = None
     """Metres per stored number; default 0.001 for integer images, 1 for floats and clouds."""
     camera: OmitArgPrefixes[CameraOptions] = CameraOptions()
@@ -247,12 +250,14 @@ class Detect(CategoriesCommand):
         check_positive(depth_scale=self.depth_scale)
         check_folder(self.output)
         options = InputOptions(intrinsics=self.intrinsics, box=self.box, depth_scale=self.depth_scale)
+        if self.gravity == "world":
+            raise InputError("--gravity world: no world is told of here; give x,y,z in the camera frame")
+        known = world.known_gravity(self.gravity, None)
         reader = InputReader.of(options, [self.input], FrameOptions(**vars(self.camera)))
         frame, corners = reader.whole(self.input)
         began = time.perf_counter()
-        detector = Detector(
-            [LateEstimator.of(folder, self.device) for folder in checkpoints(self.weights, self.categories)]
-        )
+        folders = checkpoints(self.weights, self.categories)
+        detector = Detector([LateEstimator.of(folder, self.device) for folder in folders], known=known)
         loaded = time.perf_counter()
         look = detector.look(frame, corners)
         found = look.detections

@@ -71,8 +71,8 @@ class PoseEstimate(PosedObject):
         rows = zip(posed, state_std.tolist(), tail.tolist(), strict=True)
         return [PoseEstimate(**vars(one), joints=_joints(specs, one.placed, *spread)) for one, *spread in rows]
 
-    def mirrored(self, turning: Sequence[bool]) -> Self:
-        return replace(super().mirrored(turning), joints=tuple(joint.mirrored() for joint in self.joints))
+    def reflected(self, turning: Sequence[bool]) -> Self:
+        return replace(super().reflected(turning), joints=tuple(joint.mirrored() for joint in self.joints))
 
     @property
     def T_camera_part(self) -> np.ndarray:
@@ -166,11 +166,11 @@ class Estimate(PoseEstimate):
         sign = np.concatenate([[1.0, -1.0, -1.0], MIRROR_X, np.ones(len(self.covariance) - 6)])
         turning = self.category.turning
         return replace(
-            self.mirrored(turning),
+            self.reflected(turning),
             observed_keypoints=self.observed_keypoints * MIRROR_X,
             covariance=sign[:, None] * self.covariance * sign,
             labelled=replace(self.labelled, points=self.labelled.points * np.array(MIRROR_X, np.float32)),
-            initial=self.initial.mirrored(turning),
+            initial=self.initial.reflected(turning),
             joints_alone=tuple(joint.mirrored() for joint in self.joints_alone),
             of_other_hand=not self.of_other_hand,
         )

@@ -208,7 +208,7 @@ class Estimator:
         told, tail = np.array([[(joint.state_std, joint.tail) for joint in estimate.joints]]).transpose(2, 0, 1)
         std *= np.divide(told, before, out=np.ones_like(std), where=before > 0)
         [moved] = PoseEstimate.of(self.category, posed, std, tail)
-        moved = moved.mirrored(self.category.turning) if estimate.of_other_hand else moved
+        moved = moved.reflected(self.category.turning) if estimate.of_other_hand else moved
         variance = covariance.diagonal()[:6] / np.maximum(estimate.covariance.diagonal()[:6], 1e-30)
         return estimate.placed_as(moved, covariance, estimate.base_std * np.sqrt(variance))
 

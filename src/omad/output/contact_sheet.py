@@ -1,6 +1,7 @@
 """A picture of many object models, at rest and with their joints moved, to see that they stand alike."""
 
 import math
+import textwrap
 from collections.abc import Sequence
 
 import numpy as np
@@ -15,7 +16,8 @@ from omad.objects.model import ObjectModel
 from .picture import blank_panels, lay_out, shaded
 
 AZIMUTH, ELEVATION = math.radians(35), math.radians(25)
-COLUMNS = 6
+COLUMNS, LETTERS = 6, 26
+"""Models in a row; letters of the title above each."""
 MOST = 60
 """Models on one sheet."""
 
@@ -32,8 +34,9 @@ def contact_sheet(models: Sequence[ObjectModel]) -> Figure:
             panels[2 * row + below, column].imshow(picture(model, states))
         panels[2 * row, column].set_title(model.name, fontsize=8)
     left = f"; {len(models) - len(shown)} more are not shown" if len(models) > len(shown) else ""
-    fig.suptitle(f"{models[0].category}: at rest; below, joints as far as they go{left}")
-    lay_out(fig, (0, 0, 1, 0.98))
+    title = textwrap.wrap(f"{models[0].category}: at rest; below, joints as far as they go{left}", LETTERS * columns)
+    fig.suptitle("\n".join(title))
+    lay_out(fig, (0, 0, 1, 1 - 0.05 * len(title) / rows))
     return fig
 
 

@@ -4,6 +4,8 @@ from contextlib import suppress
 
 import numpy as np
 
+INSIDE, FEW = 0.5, 64
+"""A pixel with at least this probability is the object's; of fewer numbers an image is one of labels."""
 HOW = "numpy.save writes one: points (N, 3) or a depth image (H, W) in metres, a mask (H, W)"
 
 
@@ -47,6 +49,19 @@ def back_projected(depth: np.ndarray, intrinsics: list[float], mask: np.ndarray 
         raise ValueError(f"mask: shape {mask.shape} differs from the depth image's {depth.shape}")
     fx, fy, cx, cy = intrinsics
     seen = np.isfinite(depth) & (depth > 0)
-    v, u = np.nonzero(seen if mask is None else seen & (mask > 0))
+    v, u = np.nonzero(seen if mask is None else seen & of_object(mask))
     z = depth[v, u]
     return np.stack([(u - cx) / fx * z, (v - cy) / fy * z, z], 1)
+
+
+def of_object(mask: np.ndarray) -> np.ndarray:
+    """(H, W) bool: not zero, and of probabilities from one half on, as OMAD itself takes them. Raises ValueError for
+    logits, and for a label image."""
+    if mask.dtype.kind != "f":
+        if 1 < len(labels := np.unique(mask[mask != 0])) < FEW:
+            raise ValueError(f"mask: holds {len(labels)} labels; give mask == n of the object's")
+        return mask != 0
+    mask = np.nan_to_num(mask)
+    if mask.min(initial=0) < 0:
+        raise ValueError(f"mask: floats down to {mask.min():.3g} look like logits; give mask > 0 of logits")
+    return mask >= INSIDE if mask.max(initial=0) <= 1 else mask > 0

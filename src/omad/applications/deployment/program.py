@@ -367,7 +367,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("input", help=".npy: points (N, 3) or a depth image (H, W), metres")
     parser.add_argument("--intrinsics", help="fx,fy,cx,cy of a depth image, pixels")
-    parser.add_argument("--mask", help=".npy: (H, W), not zero on the object")
+    parser.add_argument("--mask", help=".npy: (H, W), not zero on the object, or probabilities")
     options = parser.parse_args()
     try:
         points = read_points(options.input, options.intrinsics, options.mask)

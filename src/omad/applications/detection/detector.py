@@ -12,13 +12,14 @@ from omad.common.errors import InputError
 from omad.estimation.categories.late import AnyEstimator, LateEstimator
 from omad.estimation.categories.proposals import Proposals
 from omad.estimation.estimate import Estimate, chance, plain
+from omad.estimation.known import NOTHING_KNOWN, Known
 from omad.geometry.rigid import box as bounds
 from omad.geometry.rigid import diagonal
 from omad.model.checkpoint import shipped_categories
 from omad.model.proposals.network import Proposer, shipped_proposer
 from omad.objects.category_file import get_category
 from omad.objects.sizes import FACTORS, WrongScale, usual_size, wrong_scale
-from omad.sensing.cutting.angles import angle_doubts
+from omad.sensing.cutting.angles import angle_doubts, turn_doubts
 from omad.sensing.cutting.not_depth import what_else
 from omad.sensing.cutting.segmentation import WITHIN, things_alone, things_before_planes
 from omad.sensing.observation import Observation
@@ -147,6 +148,8 @@ class Detector:
     """How likely things are of these categories."""
     propose: Proposer = field(default_factory=shipped_proposer)
     """Which of them are worth fitting to a thing."""
+    known: Known = NOTHING_KNOWN
+    """Of all objects: gravity, where they stand upright."""
 
     def __call__(self, frame: Observation, box: Sequence[float] | None = None) -> list[Detection]:
         """All things of a whole ``frame``, objects first and the likeliest of them first; within a ``box``
@@ -157,17 +160,21 @@ class Detector:
     def look(self, frame: Observation, box: Sequence[float] | None = None) -> Look:
         """The same, with what cannot be found."""
         inside = None if box is None else frame.inside(box)
-        found = things_before_planes(frame.points, LEAST)
+        turn = self.known.level_turn().astype(np.float32)  # of rolled cameras tables and their floors are found, too
+        points = frame.points @ turn
+        found = things_before_planes(points, LEAST)
+        found = replace(found, planes=np.c_[found.planes[:, :3] @ turn.T, found.planes[:, 3]])
         seen = _of_box(frame, found.clusters, inside)
         judged = self._judged(seen, found.planes)
         if measured_margin(frame) < TOUCHED and len(found.planes):
             # cut out already, perhaps: then the planes were an object's own, and what is left of it looks like another
-            seen = _of_box(frame, things_alone(frame.points, LEAST), inside)
+            seen = _of_box(frame, things_alone(points, LEAST), inside)
             alone = self._judged(seen, np.zeros((0, 4)))
             if (_shown(alone) > _shown(judged)).all():
                 judged, found = alone, replace(found, planes=found.planes[:0])
         flat = tuple(e.category.name for e in self.estimators if _height(e) < CLEAR * found.lowest)
-        doubts = (*_bent(frame), *angle_doubts(found.planes), *_unsupported(frame, found.planes, judged))
+        turned = turn_doubts(found.planes) if self.known.gravity is None else ()
+        doubts = (*_bent(frame), *angle_doubts(found.planes), *turned, *_unsupported(frame, found.planes, judged))
         return Look(judged, found.lowest, flat, doubts, found.planes)
 
     def scale_doubts(self, look: Look, depth_scale: float | None) -> Iterator[str]:
@@ -203,13 +210,15 @@ class Detector:
         """Each of the things that were ``seen`` before ``planes`` (P, 4)."""
         steady = [steadied(thing) for thing in seen]
         names = [estimator.category.name for estimator in self.estimators]
-        proposals = [Proposals.of(look, names) for look in self.propose(steady)]
+        upright = [self.known.as_level(thing) for thing in steady]
+        proposals = [Proposals.of(look, names) for look in self.propose(upright)]
         chosen = [self._worth_fitting(*each) for each in zip(steady, proposals, strict=True)]
         evidence: list[dict[str, np.ndarray]] = [{} for _ in seen]
         estimates: list[dict[str, Estimate]] = [{} for _ in seen]
         for estimator, name in zip(self.estimators, names, strict=True):
             rows = [i for i, few in enumerate(chosen) if name in few]
-            found = estimator.first_answers([steady[i] for i in rows]) if rows else []
+            known = self.known.of(estimator.category)
+            found = estimator.first_answers([steady[i] for i in rows], known) if rows else []
             for i, estimate in zip(rows, found, strict=True):
                 if not estimate.is_finite:  # no candidate at all
                     continue
@@ -222,7 +231,10 @@ class Detector:
             probabilities = self.judgement.probabilities(numbers)
             best = max(candidates, key=lambda name: probabilities[name], default=None)
             sure = best is not None and probabilities[best] >= SURE
-            estimate = by_name[best].reconsidered([shown], [candidates[best]])[0] if best is not None and sure else None
+            estimate = None
+            if best is not None and sure:
+                known = self.known.of(by_name[best].category)
+                [estimate] = by_name[best].reconsidered([shown], [candidates[best]], known)
             detections.append(Detection(thing, probabilities, estimate, numbers))
         return sorted(detections, key=lambda found: (found.category is None, -found.probability))
 
@@ -233,17 +245,21 @@ class Detector:
 
 
 def detect(
-    seen: Any, K: Any = None, categories: str | Sequence[str] = (), box: Sequence[float] | None = None
+    seen: Any,
+    K: Any = None,
+    categories: str | Sequence[str] = (),
+    box: Sequence[float] | None = None,
+    known: Known = NOTHING_KNOWN,
 ) -> list[Detection]:
     """All objects of an ``Observation`` of a whole frame, or of a depth image (H, W) in metres, as
     ``Observation.from_depth`` takes it with ``K``: what stands on a table or floor, each with its category of
     ``categories`` (one or several; default: all with shipped weights), its estimate and how sure that is. What is of
-    none of them is among the answers, too. ``box``: as of ``Detector``. Raises InputError."""
+    none of them is among the answers, too. ``box``, ``known``: as of ``Detector``. Raises InputError."""
     if isinstance(seen, Observation) and K is not None:
         raise InputError("K: an Observation has its camera; leave K out")
     frame = seen if isinstance(seen, Observation) else Observation.from_depth(seen, K)
     names = (categories,) if isinstance(categories, str) else tuple(categories)
-    return _detector(names or tuple(shipped_categories()))(frame, box)
+    return replace(_detector(names or tuple(shipped_categories())), known=known)(frame, box)
 
 
 @cache

@@ -131,7 +131,7 @@ class ObjectSpace:
         else:
             parts = tuple(convex_hull(posed.canonical_keypoints[part]) for part in self._prior.keypoints_of_part)
         if state.of_other_hand:
-            posed, parts = posed.mirrored(self.category.turning), tuple(part.mirrored() for part in parts)
+            posed, parts = posed.reflected(self.category.turning), tuple(part.mirrored() for part in parts)
         return Drawing(posed.keypoints, parts, posed.placed.T_camera_part, self._arrows(posed))
 
     def _arrows(self, posed: PosedObject) -> np.ndarray:

@@ -73,10 +73,13 @@ def recorded(path: Path, topics: Topics, with_cameras: bool = True) -> Iterator[
 
 
 def taken(frames: Iterable[RecordedFrame]) -> Iterator[FrameFile]:
-    """Frames as they come; times count from the first one, and a frame that is no later than the last is left out."""
+    """Frames as they come; times count from the first one, and one that is no later than another before it has that for
+    a fault."""
     first, last = None, -1.0
     for frame in frames:
         first = frame.time if first is None else first
-        if (time := frame.time - first) > last:
-            last = time
-            yield FrameFile(Path(frame.name), time, frame, frame.fault)
+        time, fault = frame.time - first, frame.fault
+        if time <= last:
+            fault = InputError(f"{frame.name}: was taken no later than a frame before it; sort the recording by time")
+        last = max(last, time)
+        yield FrameFile(Path(frame.name), time, frame, fault)

@@ -10,6 +10,7 @@ from typing import Any
 
 from tyro.conf import OmitArgPrefixes
 
+from omad.common.errors import InputError
 from omad.common.files import write_json
 from omad.common.lazy import lazy_imports
 
@@ -20,6 +21,7 @@ from .networks import SeveralProcesses, TrainConfidence, TrainNet, TrainPrior, T
 from .schedule import ScheduleOptions
 
 with lazy_imports():
+    from omad.common.incoming import read_json
     from omad.estimation.confidence import model as confidences
     from omad.evaluation.confidence import fitting
     from omad.model.checkpoint import is_checkpoint, meant_weights
@@ -28,7 +30,9 @@ with lazy_imports():
 
 PRIOR, FIRST, LAST = 0.08, 0.62, 0.3
 """Of a category's time: for the prior, for the network, and for the network with the refined answer's error."""
-RESULTS = "results.json"
+RESULTS, OPTIONS = "results.json", "options.json"
+MADE_WITH = ("minutes", "features", "objects", "views", "steps", "batch", "seed")
+"""Options that change what is made."""
 NOTHING = "nothing"
 """In place of the features to begin with."""
 
@@ -75,6 +79,7 @@ class TrainAll:
     def _one(self, name: str, processes: Processes) -> dict[str, Any]:
         """What is measured of a category, once it is trained: its networks by all ``processes``, the rest by one."""
         home = self.output / name
+        processes.alone(lambda: self._check_options(home / OPTIONS))
         priors, first, results = home / "prior", home / "first", home / RESULTS
         made: dict[str, Any] = {"category": name, "objects": self.objects}
         device = self.several.device
@@ -114,6 +119,17 @@ class TrainAll:
             return json.loads(results.read_text())
 
         return processes.alone(measured)
+
+    def _check_options(self, file: Path) -> None:
+        """Keep what the stages of a category are made with. Raises InputError where those that are there already were
+        made with something else."""
+        own = {name: getattr(self, name) for name in MADE_WITH}
+        before = read_json(file, "remove it to go on with these options") if file.is_file() else own
+        other = {name: before.get(name) for name, value in own.items() if before.get(name) != value}
+        if other:
+            told = ", ".join(f"--{name} {value} (here {own[name]})" for name, value in other.items())
+            raise InputError(f"{file.parent}: belongs to a training with {told}; give those, or another --output")
+        write_json(file, own)
 
     def _within(self, share: float, schedule: ScheduleOptions) -> ScheduleOptions:
         return replace(schedule, max_minutes=share * self.minutes)

@@ -46,11 +46,13 @@ with lazy_imports():
     from omad.evaluation.confidence.hands import fit_hand
     from omad.evaluation.confidence.shared import fit_shared
     from omad.evaluation.confidence.surface_shares import follows_better, measured_shares
+    from omad.model import checkpoint
     from omad.model.backbones import BackboneConfig, get_backbone
     from omad.model.checkpoint import (
         Network,
         category_of,
         find_weights,
+        is_checkpoint,
         load,
         meant_weights,
         save,
@@ -115,6 +117,8 @@ class _Training:
             raise InputError(f"--variants: must be 0 or more, got {self.variants}")
         check_positive(objects=self.objects, variants=self.variants or None)
         check_folder(self.output)
+        if is_checkpoint(self.output) and not (self.output / checkpoint.STATE).is_file():
+            raise InputError(f"{self.output}: holds finished weights, no training to go on with; give another --output")
         schedule = self.schedule.of(preset.schedule)
         processes = self.several.start()
         with processes.heard():

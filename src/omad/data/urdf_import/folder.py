@@ -286,8 +286,9 @@ def object_paths(folder: Path | str) -> list[Path]:
         raise InputError(f"{folder}: no such folder; give a folder of URDF models")
     if folder.is_file() or (folder / partnet.URDF).is_file():
         return [folder]
-    folders = (sub for sub in folder.iterdir() if sub.is_dir() and not sub.name.startswith("."))
-    found = _urdf_files(folder) or sorted(folders)
+    folders = sorted(sub for sub in folder.iterdir() if sub.is_dir() and not sub.name.startswith("."))
+    alone = _urdf_files(folder)  # beside such, folders of their meshes may lie
+    found = sorted([*alone, *(sub for sub in folders if not alone or _urdf_files(sub) or _urdf_files(sub / PACKAGED))])
     if not found:
         raise InputError(f"{folder}: no .urdf in it or in its sub-folders; give a folder of URDF models")
     return found

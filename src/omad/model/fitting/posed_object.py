@@ -33,7 +33,7 @@ class PosedObject:
     keypoints: np.ndarray
     """(M, 3) camera frame."""
 
-    def mirrored(self, turning: Sequence[bool]) -> Self:
+    def reflected(self, turning: Sequence[bool]) -> Self:
         """Its image in the camera's plane x = 0; ``turning`` as ``Category`` has it. ``beta`` stays that of the object
         in the mirror."""
         return replace(

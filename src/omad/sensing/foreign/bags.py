@@ -146,10 +146,16 @@ class _Image:
     """Nanoseconds."""
 
     @property
+    def stamp(self) -> int:
+        """Nanoseconds: when it was taken, as its header says; some leave that out. A recorder writes when it gets to
+        it: late, and several at once."""
+        told = self.message.header.stamp
+        return told.sec * 10**9 + told.nanosec or self.recorded
+
+    @property
     def taken(self) -> float:
-        """Seconds: when, as its header says; some leave that out."""
-        stamp = self.message.header.stamp
-        return stamp.sec + stamp.nanosec * NANOSECONDS or self.recorded * NANOSECONDS
+        """Seconds, of that."""
+        return self.stamp / 10**9
 
 
 def _frames(reader: Any, chosen: _Chosen) -> Iterator[RecordedFrame]:
@@ -167,7 +173,7 @@ def _frames(reader: Any, chosen: _Chosen) -> Iterator[RecordedFrame]:
 
     def first() -> RecordedFrame:
         frame, own = waiting.popleft()
-        name, time = str(frame.recorded), frame.recorded * NANOSECONDS
+        name, time = str(frame.stamp), frame.taken
         try:
             with_it: dict[str, Any] = {kind: _nearest(images, frame.taken) for kind, images in beside.items()}
             seen = depth_from(frame.message)
