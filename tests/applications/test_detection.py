@@ -67,6 +67,31 @@ def test_objects_on_a_table_over_a_floor_are_found() -> None:
     assert found >= 0.8 * there
 
 
+def test_objects_before_a_camera_on_its_head_are_found_with_gravity_and_its_turn_is_told() -> None:
+    drawn = draw_tabletop(("laptop",), (3, 5), "test", ON)
+    camera = replace(
+        drawn.camera, cx=drawn.camera.width - 1 - drawn.camera.cx, cy=drawn.camera.height - 1 - drawn.camera.cy
+    )
+    frame = omad.Observation.from_depth(np.ascontiguousarray(drawn.depth[::-1, ::-1]), camera)
+    estimators = [LateEstimator.of("laptop")]
+    level = Detector(estimators).look(omad.Observation.from_depth(drawn.depth, drawn.camera))
+    assert level.support_plane is not None
+    down = level.support_plane[:3] * (1, 1, -1)  # minus its normal, turned by half a turn about z
+    turned = Detector(estimators, known=omad.Known(gravity=down)).look(frame)
+    assert any("turned" in doubt for doubt in Detector(estimators).look(frame).doubts)
+    assert not any("turned" in doubt for doubt in (*level.doubts, *turned.doubts))
+    assert turned.support_plane is not None
+    np.testing.assert_allclose(turned.support_plane, level.support_plane * (-1, -1, 1, 1), atol=0.01)
+    found = [[one for one in look.detections if one.category] for look in (level, turned)]
+    assert len(found[0]) == len(found[1]) > 0
+    for one, other in zip(*found, strict=True):
+        assert one.estimate is not None
+        assert other.estimate is not None
+        up, its_up = one.estimate.T_camera_base[:3, 1], other.estimate.T_camera_base[:3, 1] * (-1, -1, 1)
+        assert np.degrees(np.arccos(np.clip(up @ its_up, -1, 1))) < 5
+        assert np.degrees(np.abs(one.estimate.joint_states - other.estimate.joint_states)).max() < 5
+
+
 @pytest.mark.parametrize(("name", "factor", "other"), [("laptop", 10.0, "refrigerator"), ("microwave", 0.1, "stapler")])
 def test_a_scale_at_which_things_are_objects_is_named(name: str, factor: float, other: str) -> None:
     """Though at the one that was given they are as large as some other category's may be."""
