@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from helpers.command_line import LAPTOP, refused, save_png
-from helpers.tabletop import laptop_view
+from helpers.command_line import LAPTOP, answer, refused, save_png
+from helpers.tabletop import laptop_view, on_a_table
 from omad.common.errors import InputError
 from omad.geometry.camera import STANDARD_CAMERA
 from omad.objects.category_file import get_category
@@ -17,6 +17,11 @@ from omad.sensing.observation import Observation
 from omad.sensing.reader import InputReader
 
 TOLD = {"width": 640, "height": 480, "fx": 600, "fy": 600, "cx": 319.5, "cy": 239.5}
+
+
+@pytest.fixture(autouse=True)
+def in_a_folder_of_its_own(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
 
 
 def warnings_of(intrinsics: str) -> tuple[str, ...]:
@@ -51,6 +56,25 @@ def test_intrinsics_in_shares_of_the_image_are_refused():
     save_png("depth.png")
     with pytest.raises(InputError, match=r"depth\.png: intrinsics: fx 0.9"):
         warnings_of("0.9375,1.25,0.5,0.5")
+
+
+@pytest.mark.parametrize(("times", "doubted"), [(2.0, True), (0.5, True), (1.0, False)])
+def test_intrinsics_of_another_size_of_the_image_are_never_believed(times, doubted, capsys):
+    save_png("depth.png")
+    K = f"{600 * times},{600 * times},{320 * times - 0.5},{240 * times - 0.5}"
+    found = answer(capsys, "estimate", "depth.png", *LAPTOP, "--intrinsics", K)
+    checks = {check["name"]: check for check in found["checks"]}
+    assert ("intrinsics" in checks) == doubted
+    assert found["doubtful"] == doubted
+    assert not doubted or "only scaled 600,600,319.5,239.5" in checks["intrinsics"]["cure"]
+
+
+def test_a_plane_of_what_was_cut_out_already_is_told_of():
+    seen = Observation.from_depth(laptop_view().depth, STANDARD_CAMERA, segment="plane")
+    assert any("may be the object's own" in warning for warning in seen.warnings)
+    scene, _ = on_a_table()
+    seen = Observation.from_depth(scene, STANDARD_CAMERA, segment="plane")
+    assert not any("may be the object's own" in warning for warning in seen.warnings)
 
 
 def test_a_colour_camera_in_millimetres_is_refused(capsys):

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from omad.common.errors import InputError
+from omad.geometry.camera import times_too_large
 from omad.geometry.rigid import box
 from omad.model.surfaces.agreement import Agreement
 from omad.objects.category import Category
@@ -95,6 +96,7 @@ def doubts(observation: Observation, estimate: Estimate, depth_scale: float | No
     found = [
         *size_doubts(observation, category, depth_scale),
         *depth_doubts(observation),
+        *scaled_doubts(observation),
         *_view_doubts(observation),
         *_fit_doubts(estimate),
         *network_doubts(estimate.keypoint_std, category),
@@ -178,6 +180,23 @@ def depth_doubts(observation: Observation) -> Iterator[Check]:
 
 def _not_depth(held: NotDepth, grave: bool) -> Check:
     return Check("depth", held.told, held.why, held.cure, grave)
+
+
+def scaled_doubts(observation: Observation) -> Iterator[Check]:
+    """Where the principal point shows that the intrinsics are those of another size of the image."""
+    camera = observation.camera
+    if camera is None or (times := times_too_large(camera)) is None:
+        return
+    size = f"{camera.width}x{camera.height}"
+    centre = ((k + 0.5) / times - 0.5 for k in (camera.cx, camera.cy))
+    scaled = ",".join(f"{number:.6g}" for number in (camera.fx / times, camera.fy / times, *centre))
+    yield Check(
+        "intrinsics",
+        f"the principal point is the middle of an image {times:.2g} times as large as this {size} one",
+        "the intrinsics are those of another size of the image, or a corner was cut out of it",
+        f"give those of the depth image at {size}: of one that was only scaled {scaled}",
+        grave=True,
+    )
 
 
 def camera_doubts(

@@ -18,6 +18,9 @@ WIDEST = 20.0
 OFF_CENTRE = 0.12
 """Of the image's side, by how much a principal point may be off its middle; of cameras it is by a few per cent, but an
 image may have been cropped."""
+ALIKE, ANOTHER_SIZE = 0.05, 0.25
+"""Of the logarithms of principal points in halves of the image's sides: how far they differ at most in intrinsics that
+were only scaled, and from where on these are another image's."""
 OBLONG = 0.1
 """Share by which fx and fy of sensors with square pixels differ at most."""
 
@@ -111,6 +114,15 @@ class Camera:
 
 STANDARD_CAMERA = Camera(640, 480, 600.0, 600.0, 319.5, 239.5)
 """Camera of the standard views; its principal point is the image centre."""
+
+
+def times_too_large(camera: Camera) -> float | None:
+    """By how much the intrinsics are those of a larger image, or of a smaller one, as their principal point says; None
+    where it says nothing of the kind: a camera's is about in the middle, and a crop's is off it otherwise."""
+    across, down = (2 * camera.cx + 1) / camera.width, (2 * camera.cy + 1) / camera.height
+    if min(across, down) <= 0 or abs(np.log(across / down)) > ALIKE or abs(np.log(across)) < ANOTHER_SIZE:
+        return None
+    return float(np.sqrt(across * down))
 
 
 def intrinsics_doubts(camera: Camera) -> Iterator[str]:

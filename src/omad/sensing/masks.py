@@ -85,7 +85,8 @@ def as_mask(values: Any, mask_id: int | None = None) -> np.ndarray:
     stored = stored[0] if stored.ndim == 3 and stored.shape[0] == 1 else stored
     stored = stored[..., 0] if stored.ndim == 3 and stored.shape[-1] == 1 else stored
     if stored.ndim > 2:
-        raise InputError(f"mask: shape {stored.shape} holds {stored.shape[0]} masks; pass one of them, mask[0] say")
+        cure = "pass one of them, mask[0] say, or a file of it alone"
+        raise InputError(f"mask: shape {stored.shape} holds {stored.shape[0]} masks; {cure}")
     if stored.ndim != 2:
         raise InputError(f"mask: a mask needs shape (H, W), got {stored.shape}")
     if mask_id is not None:
@@ -114,6 +115,8 @@ def of_palette(numbers: np.ndarray, colours: np.ndarray) -> np.ndarray:
     shades, alpha = colours[..., :3], colours[..., 3]
     if alpha.min() < alpha.max():
         return colours
+    if (shades == shades[0, 0]).all():  # a palette that nobody filled
+        return numbers
     if (shades == shades[..., :1]).all():
         return shades[..., 0]
     black = ~shades.any(-1)

@@ -129,7 +129,7 @@ class Observation:
             thinned[::every, ::every] = used[::every, ::every]
             used, count = thinned, np.count_nonzero(chosen & thinned)
         place, points = back_projected(camera, depth, used)
-        kept, warnings = _select(points, segment, None if used is chosen else chosen.ravel()[place])
+        kept, warnings = _select(points, segment, None if used is chosen else chosen.ravel()[place], measured)
         if segment is not None:
             place, points = place[kept], points[kept]
         pixels = pixels_at(place, camera.width)
@@ -354,15 +354,16 @@ def region_of(shape: tuple[int, ...], mask: np.ndarray | None, box: Sequence[flo
 
 
 def _select(
-    points: np.ndarray, segment: str | None, inside: np.ndarray | None = None
+    points: np.ndarray, segment: str | None, inside: np.ndarray | None = None, measured: np.ndarray | None = None
 ) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Indices of the object's points, and warnings; ``inside`` (N,) bool is where a segment may lie."""
+    """Indices of the object's points, and warnings; ``inside`` (N,) bool is where a segment may lie, ``measured``
+    (H, W) bool what the image shows."""
     warnings: tuple[str, ...] = ()
     if segment is None:
         kept = np.arange(len(points))
     else:
         from .cutting.angles import angle_doubts
-        from .cutting.segmentation import RIVAL, segment_on_plane  # imports SciPy, which takes long
+        from .cutting.segmentation import RIVAL, TOUCHED, segment_on_plane, share_of_margin  # imports SciPy
 
         if not isinstance(segment, str) or segment != "plane":
             raise InputError(f"segment: unknown way {shown(repr(segment))}; use 'plane', or give a mask or a box")
@@ -370,6 +371,9 @@ def _select(
         kept = np.nonzero(found.selected)[0]
         if not len(found.planes):
             warnings += ("no table, floor or wall was found; the largest connected thing was taken",)
+        elif measured is not None and share_of_margin(measured) < TOUCHED:
+            why = "the frame shows hardly anything at its margin, as what was cut out already does"
+            warnings += (f"{why}: the plane taken away may be the object's own; then leave out segment (--segment)",)
         warnings += angle_doubts(found.planes)
         if found.rival > RIVAL:
             warnings += ("another thing of similar size stands beside the one chosen; give a box or a mask",)

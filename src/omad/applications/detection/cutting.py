@@ -8,10 +8,10 @@ import numpy as np
 from omad.common.errors import NothingSeen
 from omad.geometry.rigid import diagonal
 from omad.objects.sizes import usual_size, wrong_scale
-from omad.sensing.cutting.segmentation import things_before_planes
+from omad.sensing.cutting.segmentation import TOUCHED, things_before_planes
 from omad.sensing.observation import Observation
 
-from .detector import LEAST, SURE, TOUCHED, Detection, Detector, called, measured_margin
+from .detector import LEAST, SURE, Detection, Detector, called, measured_margin
 from .judgement import ODD_SIZE, size_ratio
 
 MEASURED = 0.4

@@ -21,7 +21,7 @@ from omad.objects.category_file import get_category
 from omad.objects.sizes import FACTORS, WrongScale, usual_size, wrong_scale
 from omad.sensing.cutting.angles import angle_doubts, turn_doubts
 from omad.sensing.cutting.not_depth import what_else
-from omad.sensing.cutting.segmentation import WITHIN, things_alone, things_before_planes
+from omad.sensing.cutting.segmentation import TOUCHED, WITHIN, share_of_margin, things_alone, things_before_planes
 from omad.sensing.observation import Observation
 from omad.sensing.steadying import steadied
 
@@ -37,9 +37,6 @@ TRIED = 6
 """... by the largest of them, so many: of twenty things at eight scales each all would take half a minute."""
 NONE = "none"
 """Of the categories, where they are names."""
-MARGIN, TOUCHED = 0.05, 0.02
-"""A margin as wide as this share of the image; the share of it that is measured in frames that show more than what was
-cut out."""
 MOST = 0.5
 """Where one thing holds more than this share of what a frame shows, it may be a table with all that is on it."""
 WHOLE = 0.9
@@ -274,15 +271,8 @@ def called(likely: Sequence[str]) -> str:
 
 
 def measured_margin(frame: Observation) -> float:
-    """Share of a depth image's margin that is measured; 0 of a bare cloud. An object that was cut out already hardly
-    reaches it."""
-    if frame.mask is None:
-        return 0.0
-    height, width = frame.mask.shape
-    down, across = max(int(MARGIN * height), 1), max(int(MARGIN * width), 1)
-    inner = frame.mask[down : height - down, across : width - across]
-    seen = np.count_nonzero(frame.mask) - np.count_nonzero(inner)
-    return seen / (frame.mask.size - inner.size)
+    """As ``share_of_margin`` of a depth image; 0 of a bare cloud."""
+    return 0.0 if frame.mask is None else share_of_margin(frame.mask)
 
 
 def _bent(frame: Observation) -> Iterator[str]:

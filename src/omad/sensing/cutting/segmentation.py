@@ -14,6 +14,9 @@ RIVAL = 0.5
 """Another cluster with this share of the chosen one's weight makes the choice doubtful."""
 WITHIN = 0.5
 """A thing with this share of its points where one looks is what is looked for; its neighbours only reach inside."""
+MARGIN, TOUCHED = 0.05, 0.02
+"""A margin as wide as this share of the image; the share of it that is measured in frames that show more than what was
+cut out."""
 NEIGHBOUR = 50
 """Points of the smallest thing that may be a neighbour."""
 
@@ -87,3 +90,13 @@ def things_before_planes(points: np.ndarray, least: int) -> Things:
 def things_alone(points: np.ndarray, least: int) -> list[np.ndarray]:
     """Indices of each thing of at least ``least`` points in a camera-frame cloud (N, 3) without surroundings."""
     return all_clusters(np.ascontiguousarray(points.T, dtype=np.float32), least)
+
+
+def share_of_margin(measured: np.ndarray) -> float:
+    """Of the margin of an image (H, W) bool the share that is ``measured``: an object that was cut out already hardly
+    reaches it."""
+    height, width = measured.shape
+    down, across = max(int(MARGIN * height), 1), max(int(MARGIN * width), 1)
+    inner = measured[down : height - down, across : width - across]
+    seen = np.count_nonzero(measured) - np.count_nonzero(inner)
+    return seen / (measured.size - inner.size)
