@@ -100,6 +100,9 @@ def test_where_there_is_none_it_is_said_with_a_cure() -> None:
         with pytest.raises(NothingSeen, match=f"no {name}.*(mask|box).*omad detect"):
             finder(name)(frame(0))
     table = np.tile((1 / np.linspace(0.5, 1, 480, dtype=np.float32))[:, None], 640)
+    upright = Detector([omad.Estimator.from_pretrained("dishwasher")], known=omad.Known(gravity=np.array([0, 1.0, 0])))
+    with pytest.raises(NothingSeen, match="check gravity, or give a mask"):
+        ObjectFinder(upright)(frame(0))
     with pytest.raises(NothingSeen, match="nothing stands"):
         finder("laptop")(Observation.from_depth(table, STANDARD_CAMERA))
 

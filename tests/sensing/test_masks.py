@@ -110,6 +110,7 @@ def test_of_two_colours_or_greys_a_palette_is_a_picture(tmp_path: Path) -> None:
         "inverted": (~MASK, red[::-1], None),
         "grey": (smooth, [[0, 0, 0], [128] * 3, [255] * 3], None),
         "transparent": (MASK, red[:1] * 2, 0),
+        "empty": (MASK, red[:1] * 2, None),
     }
     for name, (numbers, colours, transparent) in forms.items():
         image = Image.fromarray(numbers.astype(np.uint8))

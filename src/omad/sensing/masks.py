@@ -115,7 +115,7 @@ def of_palette(numbers: np.ndarray, colours: np.ndarray) -> np.ndarray:
     shades, alpha = colours[..., :3], colours[..., 3]
     if alpha.min() < alpha.max():
         return colours
-    if (shades == shades[0, 0]).all():  # a palette that nobody filled
+    if (shades == shades[0, 0]).all() and numbers.min() < numbers.max():  # a palette that nobody filled
         return numbers
     if (shades == shades[..., :1]).all():
         return shades[..., 0]

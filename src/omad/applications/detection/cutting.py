@@ -46,6 +46,7 @@ class ObjectFinder:
         names = "object of the categories" if several else self.detector.estimators[0].category.name
         where = "before table, floor and walls" if box is None else "in the box before table, floor and walls"
         cure = "give a mask, or a box around the object; omad detect shows what was found"
+        cure = cure if self.detector.known.gravity is None else f"check gravity, or {cure}"
         candidates = sorted((thing for thing in things if thing.evidence), key=_likelihood, reverse=True)
         if alone is not None and max(map(_likelihood, candidates), default=0.0) < max(SURE, as_one):
             return alone
