@@ -19,7 +19,7 @@ from omad.data.procedural import generate
 from omad.data.rendering import view_folder
 from omad.data.rendering.rasteriser import NOTHING, render
 from omad.data.rendering.spoils.depths import blotted, patched, wavy
-from omad.data.rendering.spoils.masks import grown, shifted, with_rim
+from omad.data.rendering.spoils.masks import grown, shifted, with_rim, without_part
 from omad.data.rendering.spoils.occluders import occluder
 from omad.data.rendering.spoils.scenes import (
     BACKGROUND,
@@ -85,6 +85,19 @@ def test_a_rim_is_of_the_occluder_and_so_wide() -> None:
     rim = with_rim(mask, other, 4) & ~mask
     assert not (rim & ~other).any()
     assert np.array_equal(np.unique(np.nonzero(rim)[1]), [152, 153])
+
+
+def test_a_mask_misses_one_whole_part_that_shows_and_nothing_else() -> None:
+    labels = np.full((240, 320), NOTHING, dtype=np.uint8)
+    labels[:, :150], labels[:100, 150:] = 0, 2
+    left_out = set()
+    for seed in range(8):
+        lost = disc() & ~without_part(disc(), labels, rng(seed))
+        [part] = np.unique(labels[lost])
+        assert np.array_equal(lost, disc() & (labels == part))
+        left_out.add(int(part))
+    assert left_out == {0, 2}
+    assert np.array_equal(without_part(labels == 2, labels, rng()), labels == 2)  # else nothing would be left
 
 
 def test_a_patch_is_one_has_its_share_and_is_3_to_20_cm_off() -> None:

@@ -25,7 +25,7 @@ from omad.objects.model import ObjectModel
 
 from ..calibration import area_under_roc, expected_calibration_error
 from ..metrics import pose_errors
-from .views import HEAPS, OTHERS, Example, examples
+from .views import HEAPS, OTHERS, PART_MISSED, Example, examples
 
 BATCH = 64
 HIDDEN = 12
@@ -57,7 +57,8 @@ class JudgedAnswers:
 
     signals: Signals
     errors: np.ndarray
-    """(N, J) of the joint states, category units; NaN of views of other things."""
+    """(N, J) of the joint states, category units; NaN of views of other things, and of masks that leave a part out:
+    these are to be doubted, as intervals as wide as a guess would make all others wider."""
     right: np.ndarray
     """(N,) bool."""
     base: np.ndarray
@@ -67,17 +68,17 @@ class JudgedAnswers:
     """(N, J) radians or metres, standard deviations of the joint states by least squares."""
 
     @property
-    def of_category(self) -> np.ndarray:
-        """(N,) bool."""
+    def counted(self) -> np.ndarray:
+        """(N,) bool, whose errors are known."""
         return ~np.isnan(self.errors[:, 0])
 
 
 def check_views(views: int) -> None:
     """Raises InputError where so many views are too few for ``fit``, as some show other things."""
-    share = 1 - OTHERS - HEAPS
+    share = (1 - OTHERS - HEAPS) * (1 - PART_MISSED)
     needed = math.ceil(1.1 * FEWEST / share)  # by chance they may be fewer
     if views < needed:
-        said = f"views: are {views}, {share:.0%} of which show the category, and at least {FEWEST} must"
+        said = f"views: are {views}, {share:.0%} of which show the category whole, and at least {FEWEST} must"
         raise InputError(f"{said}; give more, from {needed} on")
 
 
@@ -102,9 +103,10 @@ def _answer(estimator: Estimator, shown: Sequence[Example]) -> JudgedAnswers:
         if example.of_category and estimate.is_finite:
             truth = example.view.truth
             found = pose_errors(estimate.pose(), true_pose(example.view, category), truth.part_boxes, category)
-            errors[number] = found.joint_state / category.state_units
             right[number] = found.right(category, truth.diagonal)
-            base[number] = base_errors(estimate.T_camera_base, example.view.T_camera_base)
+            if not example.part_missed:
+                errors[number] = found.joint_state / category.state_units
+                base[number] = base_errors(estimate.T_camera_base, example.view.T_camera_base)
     signals = Signals.joined([estimate.signals for estimate in estimates])
     return JudgedAnswers(signals, errors, right, base / base_std(covariance), state_std(covariance, category))
 
@@ -117,9 +119,10 @@ def base_errors(found: np.ndarray, true: np.ndarray) -> np.ndarray:
 
 def fit(answers: JudgedAnswers, category: Category, fitted_to: FittedTo) -> Confidence:
     """Raises InputError where there is too little to learn from."""
-    mine = answers.of_category
+    mine = answers.counted
     if mine.sum() < FEWEST:
-        raise InputError(f"views: {mine.sum()} of them show the category, at least {FEWEST} are needed; give more")
+        said = f"views: {mine.sum()} of them show the category whole"
+        raise InputError(f"{said}, at least {FEWEST} are needed; give more")
     image, right, cost = WITHOUT_FRONT, *_right(answers, WITHOUT_FRONT)
     for level, worth in WORTH.items():
         more, less = _right(answers, level)
@@ -141,13 +144,13 @@ def _base_off(confidence: Confidence, answers: JudgedAnswers, category: Category
     """(N, 2, 3) the errors of the base's rotation and translation in views of the category, in deviations."""
     told, _ = confidence.spreads(answers.signals, category)
     off = answers.base / confidence.base_spreads(np.ones((len(told), 6)), answers.least, told)
-    return off[answers.of_category].reshape(-1, 2, 3)
+    return off[answers.counted].reshape(-1, 2, 3)
 
 
 def measured(confidence: Confidence, answers: JudgedAnswers, category: Category) -> dict[str, Any]:
     """How well it keeps its word on ``answers``: shares of joint states in their intervals and of errors of the base
     below one deviation, and of the probability."""
-    mine, told = answers.of_category, confidence.probabilities(answers.signals)
+    mine, told = answers.counted, confidence.probabilities(answers.signals)
     std, tail = confidence.spreads(answers.signals, category)
     errors = answers.errors[mine] * category.state_units
     within = {level: std[mine] * deviations(level) ** tail[mine] for level in (0.5, 0.9)}

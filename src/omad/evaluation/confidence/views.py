@@ -25,6 +25,8 @@ STRETCHED = 0.5
 """Share of the category's objects whose proportions are changed ..."""
 STRETCHES = (0.1, 0.25)
 """... by one of these, the standard deviation of each side's logarithm: real objects are unlike those trained on."""
+PART_MISSED = 0.1
+"""Share of the views whose mask leaves a part out, as a click on the object may make one."""
 SPARSE = 0.25
 """Share of the views of which some points alone are shown."""
 SEEDS = 2**31
@@ -40,6 +42,8 @@ class Example:
     view: View
     of_category: bool
     """False: there is no right answer to it."""
+    part_missed: bool = False
+    """Whether the mask leaves out a part, whose state it then hardly tells."""
     kept: np.ndarray | None = None
     """Which of its points are shown; None: all."""
 
@@ -71,7 +75,7 @@ def _example(models: Sequence[ObjectModel], category: Category, seed: tuple[int,
         model = _heap(model, rng)
     elif rng.random() < STRETCHED:
         model = model.stretched(np.exp(rng.normal(0, rng.choice(STRETCHES), 3)))
-    spoil = thinned_spoil(rng)
+    spoil = replace(thinned_spoil(rng), part_missed=bool(rng.random() < PART_MISSED))
     try:
         scene = draw_scene(model, own, seed, spoil.staging)
         if not within_range(scene, spoil):
@@ -80,7 +84,7 @@ def _example(models: Sequence[ObjectModel], category: Category, seed: tuple[int,
         seen = len(view.observation().points)
     except InputError:
         return None
-    return Example(view, kind >= OTHERS + HEAPS, _some(seen, rng))
+    return Example(view, kind >= OTHERS + HEAPS, spoil.part_missed, _some(seen, rng))
 
 
 def _some(points: int, rng: np.random.Generator) -> np.ndarray | None:

@@ -3,6 +3,8 @@
 import numpy as np
 from scipy import ndimage
 
+from ..rasteriser import NOTHING
+
 
 def grown(mask: np.ndarray, pixels: int) -> np.ndarray:
     """With all pixels at most ``pixels`` (between centres) from it; where negative, without those at most so far from
@@ -18,6 +20,12 @@ def grown(mask: np.ndarray, pixels: int) -> np.ndarray:
     elif not cut.all():
         result[window] = np.asarray(ndimage.distance_transform_edt(cut)) > -pixels
     return result
+
+
+def without_part(mask: np.ndarray, labels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Without one of the parts, ``labels`` (H, W), that it shows; all of it where it shows but one."""
+    parts = np.unique(labels[mask & (labels != NOTHING)])
+    return mask & (labels != rng.choice(parts)) if len(parts) > 1 else mask
 
 
 def shifted(mask: np.ndarray, pixels: int, rng: np.random.Generator) -> np.ndarray:

@@ -52,6 +52,8 @@ class Spoil:
     """Share of the object's pixels without measurement, in blobs."""
     rim: int = 0
     """Pixels of what hides the object that the mask takes in along their common border."""
+    part_missed: bool = False
+    """The mask leaves one of the parts out that show, at random."""
     grown: int = 0
     """Pixels by which the mask is too wide; too narrow where negative."""
     shifted: int = 0

@@ -15,7 +15,7 @@ from ..rasteriser import NOTHING, Rendering
 from ..sensor_noise import SENSORS, sense
 from ..standard_views import MIN_PIXELS, View
 from .depths import blotted, patched, wavy
-from .masks import grown, shifted, with_rim
+from .masks import grown, shifted, with_rim, without_part
 from .occluders import occluder
 from .scenes import FIRST_OTHER, OBJECT, SpoilScene, draw_scene, in_front
 from .spoil import Spoil, random_spoil
@@ -33,6 +33,7 @@ class _Step(IntEnum):
     PATCH = 13
     LOSE = 14
     SHIFT = 15
+    MISS = 16
 
 
 @dataclass(frozen=True)
@@ -58,6 +59,8 @@ def spoilt(scene: SpoilScene, spoil: Spoil) -> SpoiltView:
         depth, source = sensed.depth, sensed.source
     else:
         depth = add_noise(depth, LEVELS[spoil.noise], scene.camera, rng(_Step.NOISE), exact.cos_view)
+    if spoil.part_missed:
+        mask = without_part(mask, labels, rng(_Step.MISS))
     labels, instances = labels.ravel()[source], instances.ravel()[source]
     on = labels != NOTHING
     if spoil.waves > 0:
