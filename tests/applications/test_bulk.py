@@ -280,6 +280,36 @@ def test_images_of_a_parquet_file_may_stand_beside_their_size(stored):
     assert np.array_equal(frame.load().points, observation(0, masked=True).points)
 
 
+def test_a_rows_own_scale_counts_more_than_the_one_for_all(stored):
+    parquet, table = pytest.importorskip("pyarrow.parquet"), pytest.importorskip("pyarrow").table
+    png = (stored / "depth" / "0.png").read_bytes()
+    parquet.write_table(table({"depth": [png] * 2, "depth_scale": [2e-3, None]}), stored / "scales.parquet")
+    own, usual = open_sources([stored / "scales.parquet"], replace(READING, depth_scale=1e-3)).after(0)
+    np.testing.assert_allclose(own.load().points, 2 * usual.load().points, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("columns", "reason"),
+    [
+        ({"depth_scale": ["0.001"]}, r"depth_scale: is '0.001'; give numbers above 0"),
+        ({"depth": [{"path": "x"}]}, "depth: its struct has no field bytes"),
+        ({"height": ["a"], "width": [640]}, "height: is 'a'; give whole numbers from 1"),
+        ({"height": [0], "width": [640]}, "height: is 0; give whole"),
+        ({"height": [480], "width": [640.5]}, r"width: is 640\.5; give whole"),
+    ],
+)
+def test_values_of_a_parquet_file_that_are_none_are_named(stored, columns, reason):
+    parquet, table = pytest.importorskip("pyarrow.parquet"), pytest.importorskip("pyarrow").table
+    png = (stored / "depth" / "0.png").read_bytes()
+    parquet.write_table(table({"depth": [png]} | columns), stored / "odd.parquet")
+    [frame] = open_sources([stored / "odd.parquet"], READING).after(0)
+    with pytest.raises(InputError, match=reason):
+        frame.load()
+    parquet.write_table(table({"depth": [png], "height": [float("nan")], "width": [640.0]}), stored / "odd.parquet")
+    [frame] = open_sources([stored / "odd.parquet"], READING).after(0)
+    assert len(frame.load().points) > 50
+
+
 def test_the_number_of_an_object_needs_a_mask_in_every_row(stored):
     """Or one for rows without."""
     parquet, table = pytest.importorskip("pyarrow.parquet"), pytest.importorskip("pyarrow").table
@@ -309,16 +339,20 @@ def test_the_number_of_an_object_needs_a_mask_in_every_row(stored):
         (["one_mask.npz"], None, "that of its masks"),
         (["broken.parquet"], None, "not readable as Parquet"),
         (["other.parquet"], None, "no column depth"),
+        (["empty.parquet"], None, "holds no image"),
+        (["unnamed.npz"], None, "holds a, b; name the array 'depth'"),
     ],
 )
 def test_what_cannot_be_read_at_all_is_said_at_once(stored, inputs, mask, reason):
     np.save(stored / "few.npy", masks()[:2])
     np.savez(stored / "one_mask.npz", depth=depths(), mask=masks()[0])
+    np.savez(stored / "unnamed.npz", a=depths(), b=depths())
     (stored / "empty").mkdir()
     if any(name.endswith(".parquet") for name in inputs):
         parquet, table = pytest.importorskip("pyarrow.parquet"), pytest.importorskip("pyarrow").table
         (stored / "broken.parquet").write_bytes(b"PAR1")
         parquet.write_table(table({"image": [b""]}), stored / "other.parquet")
+        parquet.write_table(table({"depth": [b""]}).slice(1), stored / "empty.parquet")
     paths = [stored / "empty" if name == "." else stored / name for name in inputs]
     with pytest.raises(InputError, match=reason):
         open_sources(paths, replace(READING, mask=None if mask is None else stored / mask))

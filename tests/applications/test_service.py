@@ -242,7 +242,7 @@ def test_messages_name_fields_and_no_options(service):
     assert "--" not in error
     jpeg = stored(Image.fromarray(np.zeros((480, 640), np.uint8)).save, "JPEG")
     error = service.post(fields(mask=jpeg, mask_id=b"1")).record["error"]
-    assert error == "mask: a JPEG does not keep ids; store label images as PNG, or leave mask_id out"
+    assert error == "mask: compression has blurred its ids; store label images as PNG, or leave mask_id out"
     odd = fields(mask=png(np.full((480, 640), 255, np.uint8)), depth_scale=b"0.0001")
     for reply in (service.post(odd), service.post(odd | {"format": b"html"})):
         assert reply.status == 200

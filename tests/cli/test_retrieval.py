@@ -360,6 +360,23 @@ def test_a_catalogue_on_disk_knows_what_it_was_made_of(capsys):
     shutil.move("models/c", "models/e")
     Path("models/e/c.urdf").rename("models/e/e.urdf")
     assert answer(capsys, *on_disk, "--source", "models")["entries"] == 5
+    save_png("frames/1.png", laptop_view().depth[:, ::-1])
+    assert "are not those" in refused(capsys, *frames)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not FAISS, reason="FAISS is not installed (extra omad[faiss])")
+def test_views_that_were_rendered_anew_are_not_taken_for_those_that_are_in(capsys):
+    on_disk = ["index", "build", *OF_LAPTOP, "--output", "large", "--backend", "disk", "--source", "views"]
+    for options in (("--views", "4"), ("--views", "4", "--seed", "9"), ("--views", "10")):
+        shutil.rmtree("views", ignore_errors=True)
+        assert run(["render", *OF_LAPTOP, "--objects", "2", "--output", "views", *options]) == 0
+        capsys.readouterr()
+        if options == ("--views", "4"):
+            assert answer(capsys, *on_disk)["entries"] == answer(capsys, *on_disk)["entries"] == 2
+            assert "read with other options" in refused(capsys, *on_disk, "--no-fuse")
+        else:
+            assert "its first 4 inputs are not those that are in" in refused(capsys, *on_disk)
 
 
 @pytest.mark.slow

@@ -13,7 +13,7 @@ import pytest
 import torch
 
 from helpers.command_line import laptop_view
-from omad.common.errors import InputError
+from omad.common.errors import InputError, NothingSeen
 from omad.estimation.estimator import Estimator, EstimatorConfig
 from omad.estimation.known import Known, Near
 from omad.estimation.world import gravity_in_camera, in_world
@@ -47,6 +47,21 @@ def test_what_lies_behind_the_camera_was_not_seen_by_it():
     cloud = laptop_view().observation().points
     with pytest.raises(InputError, match="observation 1: most of its points lie behind the camera"):
         estimator()([Observation(points=cloud), Observation(points=cloud * np.float32([1, -1, -1]))])
+
+
+def test_what_is_no_config_is_named():
+    for config in ({"samples": (1,)}, "fast", EstimatorConfig):
+        with pytest.raises(InputError, match=r"config: is \w+; give an EstimatorConfig"):
+            Estimator.from_pretrained("laptop", "cpu", config)  # type: ignore[arg-type]
+
+
+def test_too_few_points_are_refused_however_they_come():
+    cloud = laptop_view().observation().points
+    with pytest.raises(NothingSeen, match="observation 1: 49 points, at least 50 are needed"):
+        estimator()([Observation(points=cloud), Observation(points=cloud[:49])])
+    assert len(estimator()([Observation(points=cloud[:50])])) == 1
+    with pytest.raises(InputError, match=r"got \(3, \d+\); give its columns as rows: points\.T"):
+        Observation.from_points(cloud.T)
 
 
 @pytest.mark.parametrize("value", [None, 3, [None], ["x"], [laptop_view], Observation(np.ones((60, 3), dtype=object))])

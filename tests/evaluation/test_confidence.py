@@ -63,7 +63,7 @@ def fitted() -> Confidence:
 @pytest.fixture
 def errors_alone(fitted: Confidence, monkeypatch: pytest.MonkeyPatch) -> None:
     """Fits have the probability of another, which takes most of their time."""
-    monkeypatch.setattr(fitting, "_right", lambda answers, image: (fitted.right, 0.0))
+    monkeypatch.setattr(fitting, "fit_right", lambda answers, image: (fitted.right, 0.0))
 
 
 def test_intervals_of_unseen_answers_hold_as_often_as_they_say(fitted: Confidence) -> None:

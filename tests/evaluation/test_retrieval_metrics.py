@@ -141,6 +141,18 @@ def test_scores_of_views_that_tell_their_objects_and_of_views_that_do_not():
     assert evaluate_draws(draws, objects, Ranker(between(lost)))["second_tier"] < 0.9
 
 
+def test_queries_without_an_answer_in_the_gallery_do_not_count():
+    """Of methods that take three views of an object that has no more, none is left to find."""
+    objects, rng = np.repeat(["a", "b"], [1, 4]), np.random.default_rng(0)
+    centre = np.repeat(rng.standard_normal((2, 6)), [1, 4], axis=0)
+    draws = draw_galleries(objects, 2, DrawSettings(draws=3, queries=5))
+    assert evaluate_draws(draws, objects, Ranker(between(centre)))["map_at_10"] == 1
+    few = draw_galleries(objects[:2], 2, DrawSettings(draws=3, queries=2))
+    found = evaluate_draws(few, objects[:2], Ranker(between(centre[:2])))
+    told = [found[key] for key in ("map_at_10", "nearest_neighbour", "first_tier", "second_tier", "map_at_10_std")]
+    assert np.isnan([*told, found["chance"]["map_at_10"]]).all()
+
+
 def test_information_counts_only_what_is_known():
     betas = np.array([[0.0, 0.0], [0.0, 100.0], [1.0, 0.0]])
     covariances = np.tile(np.diag([1e-2, 1e6]), (3, 1, 1))

@@ -12,7 +12,8 @@ from omad.applications.detection.detector import Detection
 from omad.common.errors import InputError
 from omad.geometry.camera import STANDARD_CAMERA, Camera
 from omad.geometry.lens import Distortion
-from omad.sensing.camera_files import parse_distortion, read_camera
+from omad.sensing.camera_files import CameraFile, parse_distortion, read_camera
+from omad.sensing.colour_mask import ColourCamera
 from omad.sensing.input_options import FrameOptions, InputOptions
 from omad.sensing.observation import Observation
 from omad.sensing.reader import InputReader
@@ -174,6 +175,69 @@ def test_coefficients_of_a_lens_may_have_names(tmp_path):
     file.write_text(json.dumps(flat | dict.fromkeys(("k1", "k2", "k3", "k4"), 0.1)))
     with pytest.raises(InputError, match="distortion_model"):
         read_camera(file)
+
+
+@pytest.mark.parametrize(
+    "key", ["dist_coeffs", "dist_coeff", "distCoeffs", "dist", "disto", "distortion", "distortion_parameters", "D"]
+)
+def test_coefficients_are_found_under_every_name_and_beside_a_table_of_intrinsics(tmp_path, key):
+    flat, file, named = {"fx": 600, "fy": 600, "cx": 319.5, "cy": 239.5}, tmp_path / "camera.json", ("k1", "k2")
+    size, listed = {"width": 640, "height": 480}, [*BROWN]
+    for told in (listed, [listed], {"data": listed, "rows": 1, "cols": 5}, {"model": "plumb_bob", "coeffs": listed}):
+        for table in (
+            flat | {key: told},
+            {"intrinsics": flat, key: told, **size},
+            {"camera": flat | {key: told}} | size,
+        ):
+            file.write_text(json.dumps(table))
+            assert read_camera(file).distortion == Distortion("plumb_bob", BROWN)
+    assert read_camera(file).size == (640, 480)
+    file.write_text(json.dumps({"intrinsic": flat, key: dict(zip(named, BROWN, strict=False))}))
+    found = read_camera(file).distortion
+    assert found is not None
+    assert found.coefficients[:3] == (*BROWN[:2], 0.0)
+    for none in ({key: None}, {key: [0.0] * 5}, {"distance": [1.0, 2.0]}):
+        file.write_text(json.dumps(flat | none))
+        assert read_camera(file).distortion is None
+    file.write_text(json.dumps({"depth": flat, "color": flat, key: listed}))
+    assert read_camera(file).distortion is None  # it may be of the colour camera
+
+
+@pytest.mark.parametrize("names", [("K", "D"), ("camera_matrix", "dist_coeffs"), ("mtx", "dist")])
+def test_an_npz_tells_of_camera_and_lens(tmp_path, names):
+    image = np.ones((480, 640), np.float32)
+    arrays = {names[0]: STANDARD_CAMERA.K, names[1]: np.array([BROWN]), "depth": image}
+    np.savez(tmp_path / "camera.npz", **arrays)
+    if names[0] == "mtx":
+        with pytest.raises(InputError, match=r"camera\.npz: holds no intrinsics; expected"):
+            read_camera(tmp_path / "camera.npz")
+        return
+    found = read_camera(tmp_path / "camera.npz")
+    np.testing.assert_array_equal(found.K, STANDARD_CAMERA.K)
+    assert found.distortion == Distortion("plumb_bob", BROWN)
+    np.savez(tmp_path / "alone.npz", anything=STANDARD_CAMERA.K)
+    np.testing.assert_array_equal(read_camera(tmp_path / "alone.npz").K, STANDARD_CAMERA.K)
+
+
+def test_a_fisheye_of_instant_ngp_is_one(tmp_path):
+    told = {"fl_x": 300, "fl_y": 300, "cx": 320, "cy": 240, "w": 640, "h": 480, "is_fisheye": True}
+    told |= dict(zip(("k1", "k2", "k3", "k4", "p1", "p2"), (0.03, -0.01, 0.0, 0.002, 0.0, 0.0), strict=True))
+    (tmp_path / "transforms.json").write_text(json.dumps(told))
+    found = read_camera(tmp_path / "transforms.json")
+    assert found.distortion == Distortion("equidistant", (0.03, -0.01, 0.0, 0.002))
+    assert found.size == (640, 480)
+
+
+def test_what_lies_beyond_a_colour_cameras_fold_is_not_in_its_image():
+    """A plate at 1 m in a wide depth image, what is nearer at its edges, where a colour camera's lens folds back."""
+    wide, lens = Camera(640, 480, 250, 250, 319.5, 239.5), Distortion("plumb_bob", (-0.3, 0, 0, 0))
+    depth = np.zeros((480, 640))
+    depth[180:300, 260:380] = 1.0
+    depth[:, :20] = depth[:, -20:] = 0.7
+    seen = ColourCamera(CameraFile(Camera(640, 480, 300, 300, 319.5, 239.5).K, lens, (640, 480)), np.eye(4))
+    chosen = seen.depth_mask(depth, wide, np.ones((480, 640), bool), None)
+    np.testing.assert_array_equal(chosen, depth == 1.0)
+    assert not seen.seen_from_depth(depth, wide, np.full((480, 640, 3), 9, np.uint8))[:, :20].any()
 
 
 def test_coefficients_may_be_any_list_of_numbers():

@@ -49,9 +49,10 @@ with lazy_imports():
     from omad.common.batches import progress
     from omad.common.incoming import is_path
     from omad.data.rendering.standard_views import View
-    from omad.data.source import kind_of, load_models, load_views
+    from omad.data.source import ViewSource, kind_of, load_models, load_views
     from omad.data.urdf_import.folder import is_urdf
     from omad.model.checkpoint import find_weights
+    from omad.objects.category import Category
     from omad.objects.model import ObjectModel
     from omad.output.picture import how_sure, save
     from omad.sensing.reader import InputReader, files_in, input_files
@@ -110,16 +111,17 @@ class IndexBuild(CategoryCommand):
         index, refused, doubtful = LargeIndex.create(self.output, space), list[dict[str, str]](), list[dict[str, Any]]()
         made = self.source in NAMES or not Path(self.source).is_dir()  # by a generator
         source = f"{everywhere(self.source)} {self.seed}" if made else everywhere(self.source)
-        images = kind_of(self.source).images is not None
-        files, models, names = self._files, list[ObjectModel](), list[str]()
-        if files:
-            names = [file.relative_to(self.source).as_posix() for file in files]
-        elif not images:
+        files, models, names, read = self._files, list[ObjectModel](), list[str](), ""
+        views = self._views(estimator.category, index.taken(source))
+        if views is not None:
+            read = repr((views.made_of, self.fuse))
+        elif files:
+            names, read = [_stamped(file, Path(self.source)) for file in files], repr((self.reading, self.fuse))
+        else:
             found = load_models(self.source, estimator.category, self.objects, "test", self.seed)
             models, names = list(found.models), [model.name for model in found.models]
             refused += found.refused
-        read = repr((self.reading, self.fuse)) if files else ""
-        portions = self._portions(estimator, index.taken(source), files, models, refused, doubtful)
+        portions = self._portions(estimator, index.taken(source), views, files, models, refused, doubtful)
         index.add(portions, source, names, read)
         if not len(index):
             raise self._nothing_usable(refused)
@@ -143,16 +145,16 @@ class IndexBuild(CategoryCommand):
         self,
         estimator: omad.Estimator,
         taken: int,
+        views: ViewSource | None,
         files: list[Path],
         models: list[ObjectModel],
         refused: list[dict[str, str]],
         doubtful: list[dict[str, Any]],
     ) -> Iterator[Portion]:
-        """All that the source holds, depth ``files``, ``models`` or views, without its first ``taken`` inputs; what is
-        ``refused`` or ``doubtful`` of it is added to these."""
-        folder, category = Path(self.source), estimator.category
-        if kind_of(self.source).images is not None:
-            views = load_views(self.source, category, 1, 1, self.seed, "off", self.broken, taken)
+        """All that the source holds, ``views`` without the first ``taken`` ones, depth ``files`` or ``models``, without
+        its first ``taken`` inputs; what is ``refused`` or ``doubtful`` of it is added to these."""
+        folder = Path(self.source)
+        if views is not None:
 
             def seen(some: list[View]) -> Iterator[catalogue.Seen]:
                 return catalogue.seen_views(some, len(some), self.source, refused)
@@ -175,6 +177,12 @@ class IndexBuild(CategoryCommand):
         net = prior_of(find_weights(self.weights or self.category), self.device)
         yield from portions_of_models(net, models[taken:], self.source)
 
+    def _views(self, category: Category, taken: int = 0) -> ViewSource | None:
+        """Those that the source holds, without the first ``taken``; None where it holds none."""
+        if kind_of(self.source).images is None:
+            return None
+        return load_views(self.source, category, 1, 1, self.seed, "off", self.broken, taken)
+
     @cached_property
     def _files(self) -> list[Path]:
         """Depth images and clouds, where the source is a folder of such."""
@@ -190,8 +198,7 @@ class IndexBuild(CategoryCommand):
     def _catalogued(self, estimator: omad.Estimator) -> catalogue.Catalogued:
         category = estimator.category
         refused: list[dict[str, str]] = []
-        if kind_of(self.source).images is not None:
-            views = load_views(self.source, category, 1, 1, self.seed, "off", self.broken)
+        if (views := self._views(category)) is not None:
             seen, refused = catalogue.seen_views(views.views, views.total, self.source, views.refused), views.refused
         elif files := self._files:
             seen = self._read(Path(self.source), files, refused)
@@ -208,6 +215,12 @@ class IndexBuild(CategoryCommand):
                 yield catalogue.Seen(catalogue.object_of(file, folder), str(file), reader(file))
             except InputError as error:
                 refused.append({"name": str(file), "reason": str(error)})
+
+
+def _stamped(file: Path, folder: Path) -> str:
+    """A file's name in the ``folder``, its size and when it was written: another file of that name is another input."""
+    status = file.stat()  # times to the second, as some file systems keep them
+    return f"{file.relative_to(folder).as_posix()}\0{status.st_size} {int(status.st_mtime)}"
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -52,6 +52,8 @@ class ViewSource:
     """Name and reason of what cannot be used. Complete once all views are read."""
     models: Sequence[ObjectModel] = ()
     """What the views were rendered of; none where the source holds images only."""
+    made_of: str = ""
+    """Of images: what tells them from others of that name, as far as it is known before any is read."""
 
     def spread(self, count: int) -> Self:
         """So many of the views, evenly over all of them."""
@@ -114,14 +116,15 @@ def _artimage_surfaces(source: str, category: Category, split: Split, broken: Br
 
 def _artimage_images(source: str, category: Category, broken: Broken, skip: int) -> ViewSource:
     images = open_artimage(source, category, "test", broken)
-    return ViewSource(islice(images, skip, None), len(images), False, images.left_out)
+    made_of = repr([annotation.path.name for annotation in images.annotations])
+    return ViewSource(islice(images, skip, None), len(images), False, images.left_out, made_of=made_of)
 
 
 def _rendered_images(source: str, category: Category, broken: Broken, skip: int) -> ViewSource:
     rendered = open_views(source, broken, category)
-    return ViewSource(
-        rendered.after(skip), len(rendered), rendered.noise is not None or rendered.clutter, rendered.left_out
-    )
+    noisy = rendered.noise is not None or rendered.clutter
+    made_of = repr([rendered.objects, rendered.views, rendered.seed, rendered.noise, rendered.clutter])
+    return ViewSource(rendered.after(skip), len(rendered), noisy, rendered.left_out, made_of=made_of)
 
 
 def _images_in_shards(source: str, category: Category, broken: Broken, skip: int) -> ViewSource:
@@ -130,7 +133,7 @@ def _images_in_shards(source: str, category: Category, broken: Broken, skip: int
             f"{source}: views in shards are all counted; leave out --broken skip, render broken ones again"
         )
     shards = open_view_shards(source, category)
-    return ViewSource(shards.after(skip), len(shards), shards.noisy)
+    return ViewSource(shards.after(skip), len(shards), shards.noisy, made_of=shards.run)
 
 
 def _unusual(source: str, category: Category, objects: int, split: Split, seed: int) -> ModelSource:

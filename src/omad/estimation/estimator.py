@@ -110,7 +110,9 @@ class Estimator:
     ) -> None:
         """``refine`` takes the place of least squares, for comparison. Without a ``confidence``, answers have no
         probability, and their joints the least squares' own standard deviations. Estimates take their meshes from
-        ``surfaces``; without, they are hulls of keypoints."""
+        ``surfaces``; without, they are hulls of keypoints. Raises InputError where ``config`` is none."""
+        if not isinstance(config, EstimatorConfig | None):
+            raise InputError(f"config: is {type(config).__name__}; give an EstimatorConfig, EstimatorConfig.fast() say")
         work_in_forks()
         self.device = torch.device(device)
         self.net = net.to(self.device).eval()

@@ -73,9 +73,12 @@ class Camera:
         return replace(self, distortion=None)
 
     def project(self, points: np.ndarray) -> np.ndarray:
-        """Pixels (N, 2) column and row, of points (N, 3) in the camera frame."""
-        rays = points[:, :2] / np.maximum(points[:, 2:], NEAREST)
-        seen = rays if self.distortion is None else self.distortion.distort(rays)
+        """Pixels (N, 2) column and row, of points (N, 3) in the camera frame; NaN where the lens shows none of them."""
+        seen = points[:, :2] / np.maximum(points[:, 2:], NEAREST)
+        if self.distortion is not None:
+            beyond = np.hypot(*seen.T) > self.distortion.fold
+            seen = self.distortion.distort(seen)
+            seen[beyond] = np.nan
         return seen * (self.fx, self.fy) + (self.cx, self.cy)
 
     def rays(self, pixels: np.ndarray) -> np.ndarray:
@@ -97,10 +100,7 @@ class Camera:
     def rectified(self, image: np.ndarray) -> np.ndarray:
         """The image (H, W) as ``pinhole`` would see it: each pixel takes the nearest one, outside is 0."""
         pixels = np.indices(image.shape)[::-1].reshape(2, -1).T
-        rays = self.pinhole.backproject(pixels, np.ones(len(pixels)))
-        place = self.project(rays)
-        if self.distortion is not None:
-            place[np.hypot(*rays[:, :2].T) > self.distortion.fold] = np.nan
+        place = self.project(self.pinhole.backproject(pixels, np.ones(len(pixels))))
         column, row = np.clip(np.nan_to_num(np.rint(place), nan=-1), -1, image.shape[::-1]).astype(int).T
         return np.pad(image, 1)[row + 1, column + 1].reshape(image.shape)
 

@@ -1,5 +1,6 @@
 """Cameras as people have them: intrinsics, lens distortion and the place of one camera before another, from files."""
 
+import re
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,7 +17,7 @@ from omad.geometry.lens import Distortion
 from omad.geometry.rigid import is_rotation
 
 from .colmap import COLMAP, camera_of_colmap, camera_of_nerf
-from .depth_files import SCALES, read_array
+from .depth_files import SCALES, called, read_arrays
 
 WRONG = (TypeError, ValueError, KeyError, IndexError, OverflowError, AttributeError, RecursionError)
 """What values of the wrong kind, or none, raise."""
@@ -31,8 +32,12 @@ BOP, COARSEST = "cam_K", 0.05
 millimetres."""
 MATRICES = ("K", "k", "camera_matrix", BOP, "intrinsics", "intrinsic", "camera_intrinsics", "camera_intrinsic")
 """What matrices row by row are called, and Kalibr's four numbers."""
-COEFFICIENTS = ("coeffs", "D", "d", "distortion_coefficients", "distortion_coeffs")
-"""What lists of a lens's are called."""
+COEFFICIENTS = re.compile(r"coeffs|[Dd]|dist(o|ort|ortion)?(_?(coeff|param)\w*)?", re.IGNORECASE)
+"""What lists of a lens's are called, and tables of its coefficients by name."""
+OF_IMAGES = ("width", "height", "image_width", "image_height", "resolution", "distortion_model", "fisheye_model")
+"""What may stand beside a table of intrinsics instead of in it, as may a lens's coefficients."""
+FEW_NUMBERS = 100
+"""No camera has so many in one array; one that is larger, in the same NPZ, is an image."""
 LENS, FISHEYE = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"), ("k1", "k2", "k3", "k4")
 """Coefficients by name, in OpenCV's order."""
 SCALE = "depth_scale"
@@ -166,7 +171,16 @@ def _inner(data: Any) -> Any:
     if "fl_x" in data:
         return camera_of_nerf(data)
     names = ("intrinsic", "camera", "intrinsics", "depth", "cam0")
-    return next((data[name] for name in names if isinstance(data.get(name), dict)), data)
+    name = next((name for name in names if isinstance(data.get(name), dict)), None)
+    if name is None or name == "depth":  # beside that stands the colour camera's
+        return data if name is None else data[name]
+    lens = (*OF_IMAGES, *LENS)
+    return {key: told for key, told in data.items() if key in lens or _lists_lens(key, told)} | data[name]
+
+
+def _lists_lens(key: Any, told: Any) -> bool:
+    """Whether a table tells of a lens's coefficients under this ``key``, and not that there is none."""
+    return COEFFICIENTS.fullmatch(str(key)) is not None and str(told).lower() != "none"
 
 
 def read_table(path: Path) -> Any:
@@ -223,7 +237,10 @@ def read_transform(source: str | Path, name: str) -> np.ndarray:
 def _read(path: Path, key: str) -> Any:
     """An array of numbers, or what JSON or YAML holds."""
     if path.suffix.lower() in (".npy", ".npz"):
-        return read_array(path, key)
+        found = read_arrays(path, path.suffix[1:].upper())
+        if isinstance(found, np.ndarray) or len(found) == 1:
+            return called(found, key, path)
+        return {name: array.tolist() for name, array in found.items() if array.size < FEW_NUMBERS}
     check_limit("camera_bytes", path.stat().st_size, f"{path}: the file")
     return _parsed(read_text(path), path)
 
@@ -280,8 +297,11 @@ def _find_intrinsics(data: Any, name: str | Path) -> np.ndarray:
 def _find_distortion(data: dict[str, Any]) -> Distortion | None:
     """The lens that a file tells of; None for none, or for coefficients that are all zero."""
     model = _model_name(next((data[key] for key in ("model", "distortion_model") if data.get(key) is not None), ""))
-    model = "equidistant" if data.get("fisheye_model") else model  # OpenCV's
-    listed = next((data[key] for key in COEFFICIENTS if key in data), None)
+    if data.get("fisheye_model") or data.get("is_fisheye"):  # OpenCV's and instant-ngp's
+        model = "equidistant"
+    listed = next((told for key, told in data.items() if _lists_lens(key, told)), None)
+    if isinstance(listed, dict) and "data" not in listed:  # by their names
+        return _find_distortion({"model": model, **listed})
     if listed is None and "k1" in data:
         if model is None and "k4" in data and "p1" not in data:
             raise ValueError("it may be a fisheye lens or none")

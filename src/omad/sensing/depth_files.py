@@ -31,10 +31,11 @@ MAP_FORMATS = (".pfm", ".pgm")
 DEPTH_FORMATS = (".png", ".tif", ".tiff", *MAP_FORMATS, *ARRAY_FORMATS)
 COLOR_FORMATS = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", *ARRAY_FORMATS)
 MASK_FORMATS = (*COLOR_FORMATS, ".json")
-LOSSY = (".jpg", ".jpeg")
 CLOUD_FORMATS = (".ply", ".pcd", ".xyz", ".txt", *ARRAY_FORMATS)
 ARRAY_MAGIC, JPEG_MAGIC = (b"\x93NUMPY", b"PK"), b"\xff\xd8"
 """What arrays and JPEGs begin with."""
+WEBP, LOSSLESS, HEAD = b"WEBP", b"VP8L", 48
+"""How WebP is marked, which of it loses nothing, and bytes of a file within which both stand."""
 _GAP = rb"(?:\s|#[^\n]*\n)+"
 MAP_HEAD = re.compile(rb"(Pf|P5)" + 2 * (_GAP + rb"(\d+)") + _GAP + rb"([-+.\deE]+)\s")
 """Of a portable map: floats or integers, width, height, and then of floats a number whose sign is their byte order, of
@@ -171,8 +172,9 @@ def read_mask(path: str | Path, mask_id: int | None = None) -> np.ndarray:
     if path.suffix.lower() in ARRAY_FORMATS:
         return _checked_mask(read_array(path, "mask"), path, mask_id)
     stored = _colours_or_labels(lambda mode: read_image(path, path, mode), mask_id)
-    if path.suffix.lower() in LOSSY:
-        stored = _without_loss(stored, path, mask_id)
+    with path.open("rb") as file:
+        if _is_lossy(file.read(HEAD)):
+            stored = _without_loss(stored, path, mask_id)
     return _checked_mask(stored, path, mask_id)
 
 
@@ -182,7 +184,7 @@ def parse_mask(stored: bytes, name: str, mask_id: int | None = None) -> np.ndarr
         check_limit("mask_text_bytes", len(stored), f"{name}: the JSON")
         return _checked_mask(parse_json(stored, name), name, mask_id)
     found = _colours_or_labels(lambda mode: parse_stored(stored, "mask", name, mode), mask_id)
-    if stored.startswith(JPEG_MAGIC):
+    if _is_lossy(stored[:HEAD]):
         found = _without_loss(found, name, mask_id)
     return _checked_mask(found, name, mask_id)
 
@@ -197,7 +199,7 @@ def _colours_or_labels(read: Callable[[str | None], np.ndarray], mask_id: int | 
     """An image, which ``read`` gives in a mode, as ``as_mask`` takes it: one with a palette holds labels, mostly."""
     stored = read("RGBA" if mask_id is None else None)
     if mask_id is not None or stored.ndim < 3:
-        return stored
+        return stored[..., 0] if stored.shape[2:] == (2,) else stored  # grey, with transparency
     numbers = read(None)  # (H, W) of a palette alone
     return of_palette(numbers, stored) if numbers.ndim == 2 else stored
 
@@ -214,11 +216,16 @@ def _checked_mask(stored: Any, name: str | Path, mask_id: int | None) -> np.ndar
         raise InputError(str(error) if str(name) in str(error) else f"{name}: {error}") from error
 
 
+def _is_lossy(begins: bytes) -> bool:
+    """Whether an image whose file so ``begins`` is a JPEG, or a WebP that is compressed as one."""
+    return begins.startswith(JPEG_MAGIC) or (WEBP in begins[:12] and LOSSLESS not in begins)
+
+
 def _without_loss(stored: np.ndarray, name: str | Path, mask_id: int | None) -> np.ndarray:
-    """Of a mask in a JPEG: black and white are no longer quite that along its edge. Raises InputError for ids, and for
-    objects in several colours."""
+    """Of a mask in such an image: black and white are no longer quite that along its edge. Raises InputError for ids,
+    and for objects in several colours."""
     if mask_id is not None:
-        raise InputError(f"{name}: a JPEG does not keep ids; store label images as PNG, or leave --mask-id out")
+        raise InputError(f"{name}: compression has blurred its ids; store label images as PNG, or leave --mask-id out")
     if stored.ndim == 3:
         with named(name):
             check_one_blurred_thing(stored[..., :3])

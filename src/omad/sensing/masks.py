@@ -53,7 +53,7 @@ def as_mask(values: Any, mask_id: int | None = None) -> np.ndarray:
     - numbers (H, W), (1, H, W), (1, 1, H, W) or (H, W, 1), NumPy or torch: what is not zero, or with ``mask_id`` what
       has that number, which label images need. Floats between 0 and 1 are probabilities, and one half is enough;
     - colours (H, W, 3): what is not black, of one colour or a picture; grey ones are numbers. (H, W, 4): where the
-      alpha channel varies it is the mask, else the colours;
+      alpha channel tells pixels apart it is the mask, else the colours;
     - a COCO segmentation, a mapping with ``size`` (H, W) and ``counts``, compressed or not, or ``polygons``, rows of
       x, y, x, y ... in pixels; or an annotation that has it, or an array as above, under ``segmentation``; or a file
       of ``annotations``, or a list of them, of which ``mask_id`` is one's id, where there are several, or its place
@@ -127,14 +127,12 @@ def _of_colours(image: np.ndarray) -> np.ndarray:
     """Alpha where it tells pixels apart, else what is not black; numbers of a grey image. NaN is nothing."""
     image = np.nan_to_num(image)
     colours, alpha = image[..., :3], image[..., 3:]
-    if alpha.size and alpha.min() < alpha.max():
-        opaque = OPAQUE if image.dtype.kind in "iu" and alpha.max() > 1 else INSIDE
-        inside = np.greater_equal(alpha[..., 0], opaque)
-        _check_one_thing(colours[inside])
-        return inside
-    if image.dtype.kind in "iu" and (colours == colours[..., :1]).all():
-        return colours[..., 0]
-    inside = np.asarray(colours.any(-1))
+    opaque = OPAQUE if image.dtype.kind in "iu" and alpha.max(initial=0) > 1 else INSIDE
+    inside = np.any(alpha >= opaque, axis=-1)
+    if not (inside.any() and not inside.all()):
+        if (colours == colours[..., :1]).all():
+            return colours[..., 0]
+        inside = np.asarray(colours.any(-1))
     _check_one_thing(colours[inside])
     return inside
 
@@ -169,7 +167,7 @@ def check_one_blurred_thing(image: np.ndarray) -> None:
     others = np.abs(np.angle(np.exp(1j * (hues - common)))) > OTHER_HUE
     if np.count_nonzero(others) > MANY * len(inside):
         cure = "store it as PNG: a label image with mask_id (--mask-id), or a mask of one colour"
-        raise InputError(f"mask: shows several objects, whose colours a JPEG has blurred; {cure}")
+        raise InputError(f"mask: shows several objects, whose colours a JPEG or WebP has blurred; {cure}")
 
 
 def _is_grey(colours: np.ndarray) -> np.ndarray:
@@ -219,7 +217,10 @@ def _likely(values: np.ndarray) -> np.ndarray:
         return _of_one_thing(values.astype(np.uint8 if high <= 255 else np.int64))
     if low == 0 and ((values == 0) | (values == high)).all():
         return values != 0
-    raise InputError(f"mask: floats from {low:.3g} to {high:.3g} look like logits; pass mask > 0 of logits")
+    what, cure = "look like logits", "pass mask > 0 of logits"
+    if low >= 0:
+        what, cure = "are no probabilities", "divide them by the largest that there may be, or pass mask >= a threshold"
+    raise InputError(f"mask: floats from {low:.3g} to {high:.3g} {what}; {cure}")
 
 
 def _annotation(coco: Mapping[str, Any], mask_id: int | None) -> Mapping[str, Any]:
@@ -234,7 +235,8 @@ def _annotation(coco: Mapping[str, Any], mask_id: int | None) -> Mapping[str, An
     chosen = [one for one, its in zip(found, numbered, strict=True) if mask_id in (None, its)]
     if len(chosen) != 1:
         ids = ", ".join(map(str, numbered[:LISTED])) + (", ..." if len(found) > LISTED else "")
-        cure = "give mask_id (--mask-id), or one of them" if mask_id is None else f"none of them is {mask_id}; give one"
+        many = "several of them are" if chosen else "none of them is"
+        cure = "give mask_id (--mask-id), or one of them" if mask_id is None else f"{many} {mask_id}; give one"
         raise InputError(f"mask: holds {len(found)} annotations with the ids {ids}; {cure}")
     images = coco.get("images", coco.get("image", ()))
     listed = images if isinstance(images, list) else [images]

@@ -45,6 +45,8 @@ NUMBERS = np.array([["fx", "skew", "cx"], ["skew", "fy", "cy"], ["", "", ""]])
 """What those of a matrix of intrinsics are called."""
 APART_CAMERAS = 3.0
 """Metres between depth and colour camera that no rig has."""
+LARGEST = 1e9
+"""Of numbers in an option; no image has so many pixels along a side."""
 NO_FRAME = FrameOptions()
 Find = Callable[[Observation, Sequence[float] | None], Observation]
 """Of a whole frame the object, within a box where one is given."""
@@ -317,6 +319,6 @@ def parse_numbers(text: str, count: int, name: str) -> list[float]:
     """So many numbers with commas between them. Raises InputError that names the option."""
     with suppress(ValueError):
         values = [float(word) for word in text.split(",")]
-        if len(values) == count:
+        if len(values) == count and all(abs(value) <= LARGEST for value in values):
             return values
-    raise InputError(f"{name} {shown(text)}: expected {count} numbers with commas between them")
+    raise InputError(f"{name} {shown(text)}: expected {count} numbers up to {LARGEST:g} with commas between them")

@@ -18,7 +18,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from omad.common.errors import InputError, WorkError
+from omad.common.errors import InputError, WorkError, shown
 from omad.common.files import one_line
 from omad.data.shards.parquet import import_pyarrow
 from omad.data.shards.store import Store
@@ -98,8 +98,8 @@ class ParquetImages:
             raise InputError(f"{self.path}: damaged ({one_line(error)}); copy it anew") from error
 
     def _load(self, values: dict[str, Any]) -> Observation:
-        sides = [values[name].as_py() for name in ("height", "width") if name in values]
-        shape = (int(sides[0]), int(sides[1])) if len(sides) == 2 and None not in sides else None
+        sides = [_number(values, name, whole=True) for name in ("height", "width")]
+        shape = None if None in sides else (int(sides[0] or 0), int(sides[1] or 0))
         depth = _image(values["depth"], shape, "depth", partial(parse_stored, key="depth", name="image"))
         if depth is None:
             raise InputError("depth: is null; leave the row out")
@@ -113,9 +113,8 @@ class ParquetImages:
             raise InputError(f"mask: is null, and --mask-id {number} tells one of its objects; {cure}")
         told = values["intrinsics"].as_py() if "intrinsics" in values else None
         camera = None if told is None else _camera(told)
-        scale = self.reader.depth_scale
-        if scale is None and "depth_scale" in values:
-            scale = values["depth_scale"].as_py()
+        scale = _number(values, "depth_scale")
+        scale = self.reader.depth_scale if scale is None else scale
         return self.reader.observe(in_metres(depth, scale, self.reader.metres_per_integer()), mask, camera)
 
 
@@ -135,11 +134,24 @@ def _camera(told: Any) -> CameraFile:
     return parse_camera(numbers, "intrinsics")
 
 
+def _number(values: dict[str, Any], name: str, whole: bool = False) -> float | None:
+    """Of a row; None where it has none, which pandas writes as NaN. Raises InputError."""
+    told = values[name].as_py() if name in values else None
+    if told is None or told != told:
+        return None
+    if not isinstance(told, int | float) or not 0 < told < np.inf or (whole and told != int(told)):
+        kind = "whole numbers from 1" if whole else "numbers above 0"
+        raise InputError(f"{name}: is {shown(repr(told))}; give {kind}, or null")
+    return told
+
+
 def _image(
     value: Any, shape: tuple[int, int] | None, name: str, parse: Callable[[bytes], np.ndarray]
 ) -> np.ndarray | None:
     """(H, W) of an Arrow scalar; None for null. ``parse`` reads a file's bytes. Raises InputError."""
     if hasattr(value, "keys"):  # a struct
+        if "bytes" not in value:
+            raise InputError(f"{name}: its struct has no field bytes; store the image file's bytes there")
         value = value["bytes"]
     if not value.is_valid:
         return None

@@ -24,6 +24,8 @@ from .parquet_images import SUFFIX, ParquetImages
 from .stream import Frame
 
 _LISTED = (*KNOWN, SUFFIX)
+CLOUD = "points"
+"""What a cloud in an NPZ is called."""
 
 
 @dataclass(frozen=True)
@@ -89,6 +91,8 @@ def open_sources(
         sources += [_parquet(file, reader) for file in group.files() if file.suffix.lower() == SUFFIX]
         single = [name for name in group.names if Path(name).suffix.lower() != SUFFIX]
         sources.append(_single(_Group(group.folder, single), reader))
+    if not any(source.total for source in sources):
+        raise InputError(f"{inputs[0]}: holds no image; give a file with rows")
     told = (reading.mask, reading.intrinsics, frame.color_intrinsics, frame.color_extrinsics)
     named = [Path(each) for each in told if each is not None]
     return _chained(sources, partial(_fingerprint, [*groups.values()], named, remote))
@@ -181,19 +185,24 @@ def _single(group: _Group, reader: InputReader) -> Source:
 
 def _stack_in(path: Path, key: str, named: bool = False) -> np.ndarray | None:
     """Images (N, H, W) of an NPY, on disk, or those called ``key`` of an NPZ, or its only ones; None where a file is no
-    stack. ``named``: what an NPZ calls so, of whatever shape."""
+    stack. ``named``: what an NPZ calls so, of whatever shape. Raises InputError for stacks of which none is meant."""
+    meant = True
     try:
         if path.suffix.lower() == ".npz":
             stored = read_arrays(path, "a stack of images")
             if named:
                 return stored.get(key) if isinstance(stored, dict) else None
+            stacks = isinstance(stored, dict) and any(array.ndim == 3 for array in stored.values())
+            meant = not stacks or CLOUD in stored
             found = called(stored, key, path)
         elif path.suffix.lower() == ".npy" and not named:
             found = map_array(path)
         else:
             return None
-    except InputError:  # whoever reads it as a single image says what is wrong
-        return None
+    except InputError:
+        if not meant:
+            raise
+        return None  # whoever reads it as a single image says what is wrong
     # (H, W, 3) is an organised cloud, (H, W, 1) one image
     return found if found is not None and found.ndim == 3 and found.shape[-1] not in (1, 3) else None
 

@@ -170,7 +170,8 @@ class ExplorerPage:
             act()
         except (InputError, WorkError) as error:
             if client is not None:
-                text = " ".join(str(error).split())
+                said = str(error).replace(f"{self._uploads.name}/", "")
+                text = " ".join(said.replace(" --", " ").split())  # the page has fields, no options
                 client.add_notification("That did not work", text, color="red", auto_close_seconds=15.0)
 
     def _redraw(self) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from dataclasses import dataclass
 from functools import partial
+from math import isnan
 from pathlib import Path
 from typing import Any
 
@@ -129,5 +130,7 @@ def retrieval_text(answer: dict[str, Any]) -> str:
         for name, found in {**methods, "chance": chance}.items():
             shares = [found[key] for key in ("map_at_10", "nearest_neighbour", "first_tier", "second_tier")]
             shares += [found["large"]["map_at_10"], found["across_states"]["map_at_10"], found.get("paper")]
-            rows.append([category, name, *("-" if share is None else f"{100 * share:.1f}" for share in shares)])
+            rows.append(
+                [category, name, *("-" if share is None or isnan(share) else f"{100 * share:.1f}" for share in shares)]
+            )
     return table(rows)

@@ -115,6 +115,8 @@ class ViewShards:
     total: int
     size: int
     """Of a shard; the last one may be smaller."""
+    run: str
+    """What ``_run.json`` says."""
 
     def __len__(self) -> int:
         return self.total
@@ -177,7 +179,8 @@ def open_view_shards(source: str, category: Category) -> ViewShards:
         names = store.names()
         if RUN not in names:
             raise InputError(f"{source}: no {RUN} there; {CURE}")
-        values = parse_json(store.read(RUN), f"{source}/{RUN}", CURE)
+        said = store.read(RUN)
+        values = parse_json(said, f"{source}/{RUN}", CURE)
     if not isinstance(values, dict) or values.get("format") != FORMAT:
         raise InputError(f"{source}: holds no views with their truth in shards ({RUN} tells of none); {CURE}")
     run = decoded(_Run, values, f"{source}/{RUN}", CURE)
@@ -187,4 +190,4 @@ def open_view_shards(source: str, category: Category) -> ViewShards:
     if shards > len(names) or not names.issuperset(map(part_name, range(shards))):
         cure = "give the same render command again to finish it"
         raise InputError(f"{source}: not all of its {shards} shards are there; {cure}")
-    return ViewShards(store, category, run.clutter or run.noise != "off", run.total, run.shard)
+    return ViewShards(store, category, run.clutter or run.noise != "off", run.total, run.shard, str(said))

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from omad.common.errors import InputError
+from omad.common.errors import InputError, NothingSeen
 from omad.model.network_input import sample_clouds
 from omad.objects.category import Category
 from omad.sensing.observation import FARTHEST, MIN_POINTS, Observation
@@ -98,13 +98,15 @@ class Shown:
 
 def check_observations(observations: Any) -> list[Observation]:
     """All of a sequence. Raises InputError that tells which of them is none, or holds points that are no places,
-    or none that a camera sees."""
+    or none that a camera sees; NothingSeen where one has fewer than 50."""
     if not isinstance(observations, Sequence):
         raise InputError(f"observation: is {type(observations).__name__}; give an omad.Observation, or a list of them")
     for index, one in enumerate(observations):
         cloud = getattr(one, "points", None)
-        if not isinstance(cloud, np.ndarray) or cloud.dtype.kind != "f" or cloud.shape[1:] != (3,) or not len(cloud):
+        if not isinstance(cloud, np.ndarray) or cloud.dtype.kind != "f" or cloud.shape[1:] != (3,):
             raise InputError(f"observation {index}: has no points (N, 3); make it with Observation.from_depth")
+        if len(cloud) < MIN_POINTS:
+            raise NothingSeen(f"observation {index}: {len(cloud)} points, at least {MIN_POINTS} are needed")
         if not max(-cloud.min(), cloud.max()) <= FARTHEST:  # not for NaN either
             raise InputError(f"observation {index}: has points that are not finite, or too far away; leave them out")
         if np.count_nonzero(cloud[:, 2] <= 0) > len(cloud) / 2:  # of who made it without from_points, which says more

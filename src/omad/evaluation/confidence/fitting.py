@@ -123,9 +123,9 @@ def fit(answers: JudgedAnswers, category: Category, fitted_to: FittedTo) -> Conf
     if mine.sum() < FEWEST:
         said = f"views: {mine.sum()} of them show the category whole"
         raise InputError(f"{said}, at least {FEWEST} are needed; give more")
-    image, right, cost = WITHOUT_FRONT, *_right(answers, WITHOUT_FRONT)
+    image, right, cost = WITHOUT_FRONT, *fit_right(answers, WITHOUT_FRONT)
     for level, worth in WORTH.items():
-        more, less = _right(answers, level)
+        more, less = fit_right(answers, level)
         if less < (1 - worth) * cost:
             image, right, cost = level, more, less
     inputs = joint_inputs(answers.signals.known_by(image))[mine]
@@ -176,7 +176,7 @@ def fit_errors(inputs: np.ndarray, errors: np.ndarray) -> Perceptron:
     return replace(found, straight=straight)
 
 
-def _right(answers: JudgedAnswers, image: tuple[str, ...]) -> tuple[Perceptron, float]:
+def fit_right(answers: JudgedAnswers, image: tuple[str, ...]) -> tuple[Perceptron, float]:
     """``Confidence.right`` by so much of ``IMAGE``, and its mean log loss on what is left out of a fit."""
     inputs, right = image_inputs(answers.signals.known_by(image)), answers.right
     share = (right.sum() + 1) / (len(right) + 2)

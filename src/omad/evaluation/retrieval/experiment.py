@@ -81,7 +81,8 @@ def openness(states: np.ndarray, category: Category) -> np.ndarray:
 
 
 def evaluate_draws(draws: list[Draw], objects: np.ndarray, method: Ranker) -> dict[str, Any]:
-    """Scores averaged over draws, how mAP@10 varies between them, and the chance level on the same galleries."""
+    """Scores averaged over draws, how mAP@10 varies between them, and the chance level on the same galleries; of
+    queries to which the gallery has an answer, NaN where it has none to any."""
     rng, found, random = np.random.default_rng(0), list[Scores](), list[Scores]()
     for draw in draws:
         queries = draw.queries[:, : method.views]
@@ -91,11 +92,12 @@ def evaluate_draws(draws: list[Draw], objects: np.ndarray, method: Ranker) -> di
         same = (objects[draw.gallery] == objects[queries[:, :1]]) & ~left_out
         relevant = np.take_along_axis(same, order, 1)
         relevant[~np.isfinite(distances).any(1)] = False  # who says nothing has found nothing
-        found.append(scores(relevant))
-        random.append(chance(relevant, rng, permutations=1))
+        if (answerable := same.any(1)).any():
+            found.append(scores(relevant[answerable]))
+            random.append(chance(relevant[answerable], rng, permutations=1))
     return {
         **asdict(mean_scores(found)),
-        "map_at_10_std": float(np.std([one.map_at_10 for one in found])),
+        "map_at_10_std": float(np.std([one.map_at_10 for one in found])) if found else np.nan,
         "chance": asdict(mean_scores(random)),
         "objects": int(np.mean([len(np.unique(objects[draw.gallery])) for draw in draws])),
         "gallery": int(np.mean([len(draw.gallery) for draw in draws])),

@@ -1,6 +1,6 @@
 """How good rankings are, from which of the ranked things are the same object. Pure functions."""
 
-from dataclasses import astuple, dataclass
+from dataclasses import astuple, dataclass, fields
 
 import numpy as np
 
@@ -62,5 +62,6 @@ def chance(relevant: np.ndarray, rng: np.random.Generator, permutations: int = 1
 
 
 def mean_scores(several: list[Scores]) -> Scores:
-    """Mean of each metric."""
-    return Scores(*np.mean([astuple(one) for one in several], axis=0).tolist())
+    """Mean of each metric, NaN of none."""
+    rows = [astuple(one) for one in several] or [[np.nan] * len(fields(Scores))]
+    return Scores(*np.mean(rows, axis=0).tolist())

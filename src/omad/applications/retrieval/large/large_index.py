@@ -167,7 +167,8 @@ class LargeIndex:
         another process adds, for entries of another prior, and where the first ``inputs`` or the ``options`` are not
         those that are in."""
         read = (options,) if options else ()
-        self._add(portions, source, (lambda count: digest_of_names([*read, *inputs[:count]])) if inputs else None)
+        digest = (lambda count: digest_of_names([*read, *inputs[:count]])) if read or inputs else None
+        self._add(portions, source, digest)
 
     def _add(self, portions: Iterable[Portion], source: str, digest: Digest | None) -> None:
         with only_one(self.folder, WRITER):
