@@ -12,7 +12,7 @@ from PIL import Image
 from sequences import SequenceConfig, SequenceFrame, render_sequence
 
 from helpers.headless_browser import HeadlessBrowser
-from omad.applications.tracking.frames import Clock, frames_of, read_times
+from omad.applications.tracking.frames import Clock, frames_from, frames_of, read_times
 from omad.applications.tracking.streams import recorded, taken
 from omad.cli.main import run
 from omad.data.procedural import generate
@@ -352,6 +352,9 @@ def test_a_track_is_recorded_for_rerun_and_shown_live(folder, capsys, monkeypatc
         ("2024-05-01_12-30-05_0007.png", "2024-05-01_12-30-05_0010.png", 0.3),  # frames of that recording
         ("1999123123595901.png", "1999123123595903.png", 2e-6),  # microseconds since 1970
         ("00002.depth.png", "00004.depth.png", 0.2),
+        ("00002_depth.png", "00010_depth.png", 0.8),
+        ("3-aligned_Depth.png", "12-aligned_Depth.png", 0.9),
+        ("1700000000.25_depth.png", "1700000001.50_depth.png", 1.25),
         ("d_1620000000123.4567.png", "d_1620000000156.4567.png", 0.033),
         ("d_1620000000.25.png", "d_1620000001.50.png", 1.25),
         ("t_12.25.png", "t_13.50.png", 1.25),
@@ -360,6 +363,12 @@ def test_a_track_is_recorded_for_rerun_and_shown_live(folder, capsys, monkeypatc
 def test_names_tell_dates_stamps_and_frames(one, other, seconds):
     clock = Clock(10.0)
     assert [clock(Path(one)), clock(Path(other))] == pytest.approx([0.0, seconds], abs=1e-6)
+
+
+def test_a_line_without_a_time_after_lines_with_one_is_told_of_alone():
+    frames = list(frames_from(["a_1.png\t1700000000.0", "a_2.png", "a_3.png\t1700000000.5"], Clock(30.0)))
+    assert [frame.time for frame in frames if frame.fault is None] == [1700000000.0, 1700000000.5]
+    assert "a_2.png: has no time, as lines before it have" in str(frames[1].fault)
 
 
 def test_times_count_from_the_earliest_frame(folder):

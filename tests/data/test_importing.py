@@ -303,6 +303,8 @@ def test_what_is_odd_about_a_model_is_noted(capsys):
     assert not made["notes"]
     assert "m across" in made["warnings"][0]["reason"]
     assert "--scale 1 " in made["warnings"][0]["reason"]
+    with pytest.raises(InputError, match=r" m across.* --scale 1 "):
+        import_model(model, MICROWAVE, scale=1000.0)
     write_urdf(microwave().stretched(np.full(3, 1000.0)), "partnet/1/mobility.urdf")  # not normalised
     [doubt] = answer(capsys, "import", "partnet", *WITH, "--output", "normalised")["warnings"]
     assert "--scale 0.0003 (metres per unit of its file) makes it 0.201 m" in doubt["reason"]

@@ -12,7 +12,6 @@ from pathlib import Path
 
 from omad.common.errors import InputError, shown
 from omad.common.incoming import existing, read_text
-from omad.sensing.beside import OF_DEPTH
 from omad.sensing.foreign.bags import RecordedFrame
 from omad.sensing.reader import input_files
 
@@ -24,6 +23,8 @@ DATE = re.compile(
     r"(?<!\d)((?:19|20)\d\d)[-_.]?(\d\d)[-_.]?(\d\d)[-_T ]?(\d\d)[-_:.]?(\d\d)[-_:.]?(\d\d)[.,]?(\d{0,9})Z?$"
 )
 """A date and a time of day down to seconds or parts of them, with or without what parts them."""
+SAYS_DEPTH = re.compile(r"([._-][a-z]+)*[._-]depth$", re.IGNORECASE)
+"""What stands behind the number in names as ``000010_depth`` and ``000010-aligned_depth``."""
 STAMPS = {19: 1e-9, 16: 1e-6, 13: 1e-3, 10: 1.0}
 """Seconds per unit of a time stamp since 1970 by its number of digits; one that begins with a zero is a count."""
 
@@ -69,7 +70,7 @@ class Clock:
             if found is None:
                 raise InputError(f"{path}: the table of times has no line for it; add one, or leave --times out")
             return found
-        stem = path.stem.removesuffix(OF_DEPTH)
+        stem = SAYS_DEPTH.sub("", path.stem)
         number = re.search(r"(\d+)(\.\d+)?$", stem)
         digits = "" if number is None else number[1]
         unit = None if digits.startswith("0") else STAMPS.get(len(digits))
@@ -110,12 +111,16 @@ def frames_of(folder: Path, clock: Clock) -> list[FrameFile]:
 def frames_from(lines: Iterable[str], clock: Clock) -> Iterator[FrameFile]:
     """Frames named one a line; after a tab a line may hold the time in seconds. One without a time that can be told has
     a ``fault``: the others go on."""
+    timed = False
     for line in lines:
         name, _, told = line.rstrip("\r\n").partition("\t")
         if not name:
             continue
         try:
+            if timed and not told:
+                raise InputError(f"{shown(name)}: has no time, as lines before it have; give each one or none")
             yield FrameFile(Path(name), _told_seconds(name, told) if told else clock(Path(name)))
+            timed |= bool(told)
         except InputError as error:
             yield FrameFile(Path(name), math.nan, fault=error)
 

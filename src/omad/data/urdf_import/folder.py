@@ -28,7 +28,7 @@ from .shapes import PACKAGED, MissingMeshes
 
 MIRRORED = "is the other way round than the spec says: taken as its mirror image"
 """The note on a model of the other hand."""
-RECORD = "import.json"
+MODEL, RECORD = "a URDF or its folder", "import.json"
 """In a folder of imported models, beside their folders: where they come from."""
 UPRIGHT = 0.9
 """Cosine from which an axis points up."""
@@ -90,9 +90,7 @@ def load_folder(
     up, z_up = dict[str, str](), set[str]()
     for source in object_paths(folder):
         try:
-            found = import_with_notes(source, category, scale, missing_meshes, mesh_folder)
-            if odd := size_doubt(found.model, category, scale_of(source, category, scale), folder):
-                raise InputError(f"{source}: {odd}")
+            found = _of_usual_size(source, category, scale, missing_meshes, mesh_folder, folder)
         except InputError as error:
             refused.append(Refusal(object_name(source), str(error)))
         else:
@@ -114,8 +112,24 @@ def import_model(
     """Bring one foreign model, a ``.urdf`` or the folder that holds it, to the category's canonical space. ``scale`` is
     metres per unit of the file; left out, PartNet-Mobility folders have the category's and others 1. ``mesh_folder``:
     where meshes may lie besides the model's own folder. Raises InputError with the file and the reason where the model
-    is broken or does not fit the category."""
-    return import_with_notes(path, category, scale, missing_meshes, mesh_folder).model
+    is broken, does not fit the category, or is of another unit."""
+    path = as_path(path, MODEL)
+    return _of_usual_size(path, category, scale, missing_meshes, mesh_folder, path).model
+
+
+def _of_usual_size(
+    path: Path,
+    category: Category,
+    scale: float | None,
+    missing_meshes: MissingMeshes,
+    mesh_folder: Path | None,
+    folder: Path | str,
+) -> ImportedModel:
+    """A model of the ``folder``. Raises InputError where it is much too large or small, too."""
+    found = import_with_notes(path, category, scale, missing_meshes, mesh_folder)
+    if odd := size_doubt(found.model, category, scale_of(path, category, scale), folder):
+        raise InputError(f"{path}: {odd}")
+    return found
 
 
 def import_with_notes(
@@ -126,7 +140,7 @@ def import_with_notes(
     mesh_folder: Path | None = None,
 ) -> ImportedModel:
     """``import_model``, and what it says of the model besides."""
-    path = as_path(path, "a URDF or its folder")
+    path = as_path(path, MODEL)
     with readable(path, f"a model of a {category.name}", "leave it out, or repair it"):
         return _imported(path, category, scale, missing_meshes, mesh_folder)
 
