@@ -222,7 +222,7 @@ class Observation:
         cloud = _numbers(points_from(points), "points").astype(np.float64)
         if cloud.ndim not in (2, 3) or cloud.shape[-1] != 3:
             cure = "; leave out what is no x, y, z: points[:, :3]" if cloud.ndim == 2 and cloud.shape[1] > 3 else ""
-            cure = "; give its columns as rows: points.T" if len(cloud) == 3 and cloud.ndim == 2 else cure
+            cure = "; give its columns as rows: points.T" if cloud.ndim == 2 and len(cloud) == 3 else cure
             raise InputError(f"points: expected shape (N, 3) or (H, W, 3), got {cloud.shape}{cure}")
         cloud = cloud.reshape(-1, 3)
         cloud = cloud[np.isfinite(cloud).all(1) & cloud.any(1)]
