@@ -3,8 +3,8 @@
     OMP_NUM_THREADS=1 python benchmarks/tools/refit_probability.py CATEGORY ... [--views 4000]
 
 For views that ``omad train confidence`` shows now and did not when the weights were fitted, where only the probability
-learns from these (masks that leave a part out): a quarter of an hour a category. Errors of clean views hardly change, as
-only improbable answers are looked at again; of spoilt ones some do.
+learns from these (masks that leave a part out): a quarter of an hour a category. As only improbable answers are looked
+at again, errors hardly change, but they do: measure the tables anew.
 """
 
 from __future__ import annotations
