@@ -238,6 +238,8 @@ def test_what_an_observation_shows_is_found_as_what_its_depth_image_shows() -> N
         omad.detect(drawn.depth)
     with pytest.raises(omad.InputError, match="K: an Observation has its camera"):
         omad.detect(frame, drawn.camera, "laptop")
+    with pytest.raises(omad.InputError, match=r"known: is list; give an omad\.Known"):
+        omad.detect(frame, categories="laptop", known=[0, 1, 0])  # pyright: ignore[reportArgumentType]
 
 
 @pytest.mark.parametrize("index", [2, 3])

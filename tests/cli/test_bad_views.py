@@ -9,6 +9,8 @@ from PIL import Image
 
 from helpers.command_line import LAPTOP, answer, refused
 from omad.cli.main import run
+from omad.cli.options import Views
+from omad.objects.category_file import get_category
 
 
 @pytest.fixture(autouse=True)
@@ -50,3 +52,43 @@ def test_rendered_views_that_do_not_fit_the_question(capsys):
     file.write_text(json.dumps({**json.loads(file.read_text()), "category": "drawer"}))  # as of a spec that has changed
     line = refused(capsys, "eval", "pose", "--category", "drawer", *source)
     assert "of 1 joints, where the category has 3" in line
+
+
+OWN = """
+from dataclasses import replace
+from omad.data.procedural.handheld.laptop import generate as usual
+
+def generate(rng, category, unusual):
+    made = usual(rng, category, unusual)
+    if rng.random() < 0.2:
+        parts = tuple(part.warped(lambda vertices: vertices * {factor}) for part in made.parts)
+        made = replace(made, parts=parts, pivots=made.pivots * {factor})
+    return made
+"""
+
+
+def test_views_of_a_generator_that_changed_are_others():
+    """Though the first of them are the same."""
+
+    def told(factor):
+        Path("own.py").write_text(OWN.format(factor=factor))
+        views = Views(source="own.py", objects=12, views=12)
+        return views.identity(views.load(get_category("laptop")))
+
+    assert told(1.0) == told(1.0) != told(1.5)
+
+
+@pytest.mark.parametrize(
+    ("command", "option"),
+    [
+        (["eval", "pose", "--views", "1", "--output", "errors"], "--output"),
+        (["eval", "pose", "--views", "1", "--workers", "2"], "--workers"),
+        (["eval", "pose", "--views", "1", "--shard", "2"], "--shard"),
+        (["render", "--output", "views", "--shard", "2"], "--shard"),
+        (["bulk", "stack.npy", "--intrinsics", "600,600,320,240", "--output", "out.jsonl", "--shard", "2"], "--shard"),
+    ],
+)
+def test_what_goes_with_shards_alone_is_not_ignored(command, option, capsys):
+    np.save("stack.npy", np.ones((1, 48, 64), np.float32))
+    assert f"{option}: goes with --cluster" in refused(capsys, *command, *LAPTOP)
+    assert not any(map(Path.exists, map(Path, ("errors", "views", "out.jsonl"))))

@@ -143,7 +143,7 @@ class Render:
             )
         category = omad.get_category(self.category)
         source = load_models(self.source, category, self.objects, self.split, self.seed)
-        if self.scale.cluster:
+        if self.scale.asked():
             return self._in_shards(category, source.models, workers)
         if is_view_shards(str(self.output)):
             raise InputError(f"{self.output}: is for views in shards; give --cluster, or another folder")

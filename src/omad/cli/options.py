@@ -32,6 +32,7 @@ with lazy_imports():
     from omad.model.priornet import PriorNet
     from omad.objects.category import Category
     from omad.objects.category_file import is_spec_file, read_spec
+    from omad.objects.model import digest_of_models
 
 MOST_THREADS = 1024
 LARGEST = 1e9
@@ -95,6 +96,10 @@ class CategoriesCommand:
             yield folder, omad.Estimator.from_pretrained(folder, self.device)
 
 
+SHARD = 256
+"""Images in each file, where none are asked for."""
+
+
 @dataclass(frozen=True)
 class Cluster:
     """Work in shards."""
@@ -103,13 +108,22 @@ class Cluster:
     """In shards, on the Ray cluster that RAY_ADDRESS names, else on all cores of this machine, however many --workers;
     without Ray (pip install 'omad[cluster]') in as many processes. --output is then a folder, or an address that
     fsspec knows (s3://...), of Parquet files; shards that are there are not made again."""
-    shard: int = 256
-    """Images in each file, with --cluster."""
+    shard: int | None = None
+    """With --cluster: images in each file; default: 256."""
+
+    def asked(self, **others: object) -> bool:
+        """Whether to work in shards. Raises InputError for options, and ``others`` that are not None, which are given
+        and go with that alone."""
+        given = [name for name, value in {"shard": self.shard, **others}.items() if value is not None]
+        if given and not self.cluster:
+            raise InputError(f"--{given[0]}: goes with --cluster alone; add that, or leave it out")
+        return self.cluster
 
     def run(self, work: Work, total: int, output: Path, made_of: dict[str, Any], workers: int, device: str) -> Sharded:
         """Make all shards. Raises InputError, WorkError."""
-        check_positive(shard=self.shard)
-        plan = Plan(Store.of(output), work, total, self.shard)
+        shard = SHARD if self.shard is None else self.shard
+        check_positive(shard=shard)
+        plan = Plan(Store.of(output), work, total, shard)
         return Sharded(plan, run_shards(plan, made_of, choose_engine(workers, gpus=float(device == "cuda"))))
 
 
@@ -175,6 +189,7 @@ class Views:
     def identity(self, found: ViewSource) -> dict[str, str]:
         """Tells these views from others; the first of those that were ``found`` are taken out."""
         settings = {"objects": self.objects, "views": self.views, "seed": self.seed, "noise": self.depth_noise}
+        settings |= {"made_of": found.made_of, "models": digest_of_models(found.models)}
         first = list(islice(found.views, 3))
         return {"data": data_identity(first, self.source, settings), "version": omad.__version__}
 

@@ -128,11 +128,16 @@ def information(covariance: np.ndarray) -> np.ndarray:
     return np.linalg.inv(covariance if covariance.any() else HELD * np.eye(len(covariance)))
 
 
+def check_is_known(known: Any) -> None:
+    """Raises InputError for what is no ``Known``."""
+    if not isinstance(known, Known):
+        raise InputError(f"known: is {type(known).__name__}; give an omad.Known")
+
+
 def check_known(known: Any, category: Category, basis_size: int) -> None:
     """Raises InputError for what is no ``Known``, for a wrong shape, for what are no numbers, and for joint states in
     other units."""
-    if not isinstance(known, Known):
-        raise InputError(f"known: is {type(known).__name__}; give an omad.Known")
+    check_is_known(known)
     shapes = {"beta": (basis_size,), "joint_states": (len(category.joints),), "gravity": (3,)}
     for name, shape in shapes.items():
         value = getattr(known, name)

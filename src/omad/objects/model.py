@@ -7,10 +7,10 @@ from typing import Self
 import numpy as np
 import torch
 
-from omad.common.arrays import numbers
+from omad.common.arrays import digest_of, numbers
 from omad.geometry.joint_kinds import Motion
 from omad.geometry.kinematics import KinematicTree
-from omad.geometry.mesh import Mesh, closed, sample_triangles, triangle_normals
+from omad.geometry.mesh import Mesh, closed, merge_meshes, sample_triangles, triangle_normals
 from omad.geometry.rigid import box, carry_each, rotate_each
 from omad.geometry.transforms import MIRROR_X
 
@@ -197,6 +197,16 @@ class ObjectModel:
         unit = normals / np.linalg.norm(normals, axis=1, keepdims=True)
         labels = part_of[chosen].astype(np.int64)
         return SurfaceSamples(points.astype(np.float32), unit.astype(np.float32), labels)
+
+
+def digest_of_models(models: Iterable[ObjectModel]) -> str:
+    """Tells objects from others, which a generator or a folder of one's own may give the next time."""
+    arrays = dict[str, np.ndarray]()
+    for number, model in enumerate(models):
+        mesh, joints = merge_meshes(model.parts), (model.axes, model.pivots, model.limits)
+        told = zip(("vertices", "faces", "axes", "pivots", "limits"), (mesh.vertices, mesh.faces, *joints), strict=True)
+        arrays |= {f"{number} {name}": array for name, array in told}
+    return digest_of(arrays)
 
 
 @dataclass(frozen=True)

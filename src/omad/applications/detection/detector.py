@@ -12,7 +12,7 @@ from omad.common.errors import InputError
 from omad.estimation.categories.late import AnyEstimator, LateEstimator
 from omad.estimation.categories.proposals import Proposals
 from omad.estimation.estimate import Estimate, chance, plain
-from omad.estimation.known import NOTHING_KNOWN, Known
+from omad.estimation.known import NOTHING_KNOWN, Known, check_is_known
 from omad.geometry.rigid import box as bounds
 from omad.geometry.rigid import diagonal
 from omad.model.checkpoint import shipped_categories
@@ -147,6 +147,9 @@ class Detector:
     """Which of them are worth fitting to a thing."""
     known: Known = NOTHING_KNOWN
     """Of all objects: gravity, where they stand upright."""
+
+    def __post_init__(self) -> None:
+        check_is_known(self.known)
 
     def __call__(self, frame: Observation, box: Sequence[float] | None = None) -> list[Detection]:
         """All things of a whole ``frame``, objects first and the likeliest of them first; within a ``box``

@@ -269,12 +269,13 @@ class Tracker:
     def _challenge(self, track: _Track, warm: Estimate, cold: Estimate, believed: bool) -> tuple[Estimate, bool]:
         """The better of two answers to a frame, and whether the track may take it in. A believed frame is given up for
         a cold one only where the cold starts of several frames were better."""
-        if not self._plausible(cold) or self._agree(warm, cold):
+        worth = self._plausible(warm)
+        if not self._plausible(cold) or (worth and self._agree(warm, cold)):
             track.doubt = 0.0
             return warm, believed
         better = float(np.clip(evidence(cold) - evidence(warm), -1.0, 1.0))
         if not believed:
-            use = cold if better > 0 else warm
+            use = cold if better > 0 or not worth else warm
             return use, self._plausible(use) and self._surprise(track, use) < self._limit
         track.doubt = max(track.doubt + better, 0.0)
         if track.doubt < self.config.switch:

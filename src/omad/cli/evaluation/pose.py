@@ -44,7 +44,7 @@ class EvalPose(CategoryCommand):
 
     def run(self) -> Answer:
         self.data.check()
-        if self.scale.cluster:
+        if self.scale.asked(output=self.output, workers=self.workers or None):
             return self._in_shards()
         estimator = self.estimator(self.fast, **({"refine": adam.adam_refinement} if self.method == "adam" else {}))
         if self.pictures is not None:

@@ -60,7 +60,7 @@ class Bulk(CategoryCommand):
         check_positive(depth_scale=self.reading.depth_scale, batch=self.batch)
         workers = check_workers(self.workers)
         source = open_sources(self.inputs, self.reading, self.frame)
-        if self.scale.cluster:
+        if self.scale.asked():
             return self._in_shards(source, workers)
         results = Results.open(self.output, self._made_of(source), self.batch)
         estimator, earlier, began = self.estimator(self.fast), results.done, time.perf_counter()

@@ -15,14 +15,12 @@ from typing import Annotated, Any
 import numpy as np
 from PIL import Image
 
-from omad.common.arrays import digest_of
 from omad.common.decode import Shape, Within, decode, within
 from omad.common.errors import InputError
 from omad.common.incoming import address_of, decoded, is_file, parse_json, read_image, readable
 from omad.geometry.camera import Camera
-from omad.geometry.mesh import merge_meshes
 from omad.objects.category import Category
-from omad.objects.model import ObjectModel
+from omad.objects.model import ObjectModel, digest_of_models
 from omad.sensing.depth_files import parse_depth
 
 from ..rendering.standard_views import ObjectTruth, View
@@ -57,14 +55,8 @@ class _Run:
 
 
 def run_record(category: Category, models: Sequence[ObjectModel]) -> dict[str, Any]:
-    """What tells that a run makes views of the category, and of which objects: those of a generator or a folder of
-    one's own may be others the next time."""
-    arrays = dict[str, np.ndarray]()
-    for number, model in enumerate(models):
-        mesh, joints = merge_meshes(model.parts), (model.axes, model.pivots, model.limits)
-        told = zip(("vertices", "faces", "axes", "pivots", "limits"), (mesh.vertices, mesh.faces, *joints), strict=True)
-        arrays |= {f"{number} {name}": array for name, array in told}
-    return {"format": FORMAT, "category": category.name, "spec": asdict(category), "models": digest_of(arrays)}
+    """What tells that a run makes views of the category, and of which objects."""
+    return {"format": FORMAT, "category": category.name, "spec": asdict(category), "models": digest_of_models(models)}
 
 
 def view_schema(clutter: bool) -> Any:
