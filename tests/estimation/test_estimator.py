@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 import omad
 from helpers.categories import CATEGORIES
+from helpers.golden import golden
 from omad.data.procedural import generate
 from omad.data.rendering.standard_views import View, standard_view, true_pose
 from omad.estimation.estimator import Estimator, EstimatorConfig
@@ -22,7 +23,6 @@ from omad.evaluation.baselines.adam import adam_refinement
 from omad.geometry.joint_kinds import REVOLUTE
 
 NAMES = list(CATEGORIES)
-GOLDEN = Path(__file__).parents[1] / "golden"
 
 
 @pytest.fixture(scope="module", params=NAMES)
@@ -273,15 +273,9 @@ def test_without_labels_the_points_are_forgotten(estimator):
     assert np.array_equal(small.keypoints, estimate.keypoints)
 
 
-def golden(estimator: Estimator) -> tuple[list[omad.Observation], np.ndarray]:
-    """Clouds of the committed benchmark, and their joint states."""
-    with np.load(GOLDEN / f"golden_{estimator.category.name}.npz") as file:
-        return [omad.Observation.from_points(points * 2e-4) for points in file["points"]], file["states"]
-
-
 def test_two_threads_get_the_answers_of_one(estimator):
     """The network's buffers, the fit and its constants are shared, or each thread's own."""
-    observations = golden(estimator)[0][:12]
+    observations = golden(estimator.category.name)[0][:12]
     expected = [estimator(one) for one in observations]
     # a matrix product's rounding depends on how many threads share it, and each thread has its own number
     with ThreadPoolExecutor(2, initializer=torch.set_num_threads, initargs=(torch.get_num_threads(),)) as pool:
@@ -293,7 +287,8 @@ def test_two_threads_get_the_answers_of_one(estimator):
 
 
 def test_looking_less_still_finds_the_object(estimator):
-    observations, states = (some[:24] for some in golden(estimator))
+    clouds, data = golden(estimator.category.name)
+    observations, states = clouds[:24], data["states"][:24]
     fast = Estimator(estimator.net, EstimatorConfig.fast())
     off = [np.abs([e.joint_states for e in each(observations)] - states) for each in (estimator, fast)]
     assert np.median(off[1]) < 2 * np.median(off[0])

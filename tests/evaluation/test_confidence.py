@@ -21,7 +21,6 @@ from omad.data.rendering.spoils.scenes import random_camera
 from omad.data.rendering.spoils.spoil import Spoil
 from omad.data.rendering.spoils.thinned import FEWEST, thinned_spoil
 from omad.data.rendering.standard_views import standard_view
-from omad.data.variation import AT_REST
 from omad.estimation.confidence.model import Confidence, FittedTo, deviations
 from omad.estimation.confidence.signals import IMAGE, JOINT, WITHOUT_FRONT, WITHOUT_SURFACE, Signals
 from omad.evaluation.calibration import area_under_roc, expected_calibration_error
@@ -218,16 +217,6 @@ def test_masks_that_leave_a_part_out_count_for_the_probability_alone(monkeypatch
     parts = [np.unique(one.view.labels[one.view.mask & (one.view.labels != NOTHING)]) for one in shown]
     assert all(one.part_missed for one in shown)
     assert any(len(those) == 1 for those in parts)  # a wider mask takes in some of what was left out
-
-
-def test_many_objects_are_nearly_at_rest(monkeypatch: pytest.MonkeyPatch) -> None:
-    models = [generate(LAPTOP, index, "test") for index in range(3)]
-
-    def most(share: float) -> float:
-        monkeypatch.setattr(views, "AT_REST", share)
-        return max(one.view.states.max() for one in examples(models, LAPTOP, 8, 0) if one.of_category)
-
-    assert most(1.0) <= AT_REST * LAPTOP.metric_limits.max() < most(0.0)
 
 
 def test_spoils_are_from_none_to_all() -> None:

@@ -1,12 +1,12 @@
 """Shipped weights on a small committed benchmark: clouds of unseen procedural objects, half of them noisy."""
 
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from helpers.categories import CATEGORIES
+from helpers.golden import golden
 from omad.data.procedural import generate
 from omad.data.rendering.spoils.spoil import Spoil
 from omad.data.source import load_views
@@ -21,9 +21,7 @@ from omad.model.checkpoint import find_weights, load, shipped_categories
 from omad.model.omadnet import OmadNet
 from omad.model.priornet import PriorNet
 from omad.objects.pose import ObjectPose
-from omad.sensing.observation import Observation
 
-DATA = Path(__file__).parents[1] / "golden"
 # Of answers that are not passed over:
 # mean joint state error (degrees, or category units), mean axis error in degrees, mean axis distance in category units
 LIMITS = {
@@ -70,9 +68,7 @@ def name(request) -> str:
 @cache
 def answered(name: str) -> tuple[list[Estimate], dict[str, np.ndarray]]:
     """Answers to the benchmark of a category, and what its file holds."""
-    with np.load(DATA / f"golden_{name}.npz") as file:
-        data = dict(file)
-    views = [Observation.from_points(points * 2e-4) for points in data["points"]]
+    views, data = golden(name)
     return Estimator.from_pretrained(name, device="cpu")(views), data
 
 

@@ -12,7 +12,6 @@ from omad.data.rendering.spoils.spoiling import spoilt, within_range
 from omad.data.rendering.spoils.things import simple_thing
 from omad.data.rendering.spoils.thinned import FEWEST, STREAM, some_points, thinned_spoil
 from omad.data.rendering.standard_views import View
-from omad.data.variation import nearly_at_rest
 from omad.geometry.mesh import Mesh
 from omad.geometry.rigid import box
 from omad.objects.category import Category
@@ -26,9 +25,6 @@ STRETCHED = 0.5
 """Share of the category's objects whose proportions are changed ..."""
 STRETCHES = (0.1, 0.25)
 """... by one of these, the standard deviation of each side's logarithm: real objects are unlike those trained on."""
-AT_REST = 0.2
-"""Share of the category's objects that are nearly at rest, as people leave most of them: a door that is all but shut
-shows hardly more than itself, as a mask does that leaves out what is behind it."""
 PART_MISSED = 0.1
 """Share of the views whose mask leaves a part out, as a click on the object may make one."""
 SPARSE = 0.25
@@ -79,8 +75,6 @@ def _example(models: Sequence[ObjectModel], category: Category, seed: tuple[int,
         model = _heap(model, rng)
     elif rng.random() < STRETCHED:
         model = model.stretched(np.exp(rng.normal(0, rng.choice(STRETCHES), 3)))
-    if kind >= OTHERS + HEAPS and rng.random() < AT_REST:
-        model = nearly_at_rest(model, rng)
     spoil = replace(thinned_spoil(rng), part_missed=bool(rng.random() < PART_MISSED))
     try:
         scene = draw_scene(model, own, seed, spoil.staging)
