@@ -4,6 +4,8 @@ That rooms import downward only is checked by ``make check``.
 """
 
 import ast
+import shutil
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -12,6 +14,7 @@ import omad
 from omad.objects.builtin import builtin_names
 
 ROOT = Path(omad.__file__).parent
+CHECKOUT = Path(__file__).parents[2]
 FOLDERS = [path for path in (ROOT, *ROOT.rglob("*")) if path.is_dir() and "__pycache__" not in path.parts]
 FILES = sorted(ROOT.rglob("*.py"))
 
@@ -47,6 +50,22 @@ def test_no_code_asks_for_a_category_by_name():
 
 
 def test_every_benchmark_is_listed():
-    folder = Path(__file__).parents[2] / "benchmarks"
+    folder = CHECKOUT / "benchmarks"
     listed = (folder / "README.md").read_text()
     assert not [path.name for path in folder.glob("*/*.py") if f"`{path.name}`" not in listed]
+
+
+@pytest.mark.skipif(not (CHECKOUT / ".git").exists() or not shutil.which("git"), reason="no checkout of git's")
+def test_what_a_clone_gets_stays_small():
+    """Sixty MiB in all; each category's weights in half precision, without those of baselines, 2.2 MiB."""
+    names = subprocess.run(["git", "ls-files", "-z"], cwd=CHECKOUT, capture_output=True, text=True, check=True).stdout
+    files = [file for name in names.split("\0") if name and (file := CHECKOUT / name).is_file()]
+    assert sum(file.stat().st_size for file in files) <= 60 * 2**20
+    weights = ROOT / "model" / "weights"
+    for folder in filter(Path.is_dir, weights.iterdir()):
+        own = [
+            path.stat().st_size
+            for path in folder.rglob("*")
+            if path.is_file() and not {"ancsh", "siamese"} & {*path.parts}
+        ]
+        assert sum(own) <= 2.2 * 2**20, folder.name
