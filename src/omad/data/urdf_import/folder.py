@@ -25,9 +25,12 @@ from .alignment import align
 from .articulation import RawArticulation, read_articulation
 from .links import label_parts
 from .shapes import PACKAGED, MissingMeshes
+from .walls import through_walls
 
 MIRRORED = "is the other way round than the spec says: taken as its mirror image"
 """The note on a model of the other hand."""
+WRONG_WAY = "axis points the wrong way in the file, all of it is taken back to front; turn axis and limits round there"
+"""Of what slides, and leaves its parent at the back."""
 MODEL, RECORD = "a URDF or its folder", "import.json"
 """In a folder of imported models, beside their folders: where they come from."""
 UPRIGHT = 0.9
@@ -173,6 +176,8 @@ def _imported(
         notes.append(f"is scaled by {scale:g}, as PartNet-Mobility's are: of lengths in metres, give --scale 1")
     of_other_hand = aligned.mirrored != (category.either_hand and _mirrored_before(path))
     notes += [MIRRORED] if of_other_hand else []
+    if through := through_walls(aligned.model):
+        notes.append(f"{', '.join(through)} open through a wall: where their {WRONG_WAY}")
     if stated.skipped:
         notes.append(f"is taken without {len(stated.skipped)} of its mesh files, which are missing")
     if stated.empty:
