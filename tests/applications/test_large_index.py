@@ -5,6 +5,7 @@ import json
 import os
 import signal
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -146,6 +147,29 @@ def test_a_catalogue_that_was_built_anew_is_not_merged_on(tmp_path):
         into.merge(anew, "numbers")
     into.merge(exact(50), "numbers")
     assert len(LargeIndex.open(tmp_path / "all")) == 50
+
+
+def test_a_catalogue_that_has_grown_is_merged_on_though_its_betas_are_rounded_otherwise(tmp_path):
+    """As those of images are that were estimated in other batches; what is called otherwise is another one."""
+    into, anew = LargeIndex.create(tmp_path / "all", SPACE), ShapeIndex(SPACE)
+    into.merge(exact(30), "numbers")
+    anew.add_betas(betas(50) + 3e-6, entries(0, 50))
+    into.merge(anew, "numbers")
+    assert len(LargeIndex.open(tmp_path / "all")) == 50
+    renamed = ShapeIndex(SPACE)
+    renamed.add_betas(betas(50), [*entries(0, 49), Entry("another")])
+    with pytest.raises(InputError, match="numbers: its first 50 inputs are not those that are in"):
+        into.merge(renamed, "numbers")
+
+
+def test_catalogues_of_processors_that_round_otherwise_are_merged(tmp_path):
+    into = LargeIndex.create(tmp_path / "all", SPACE)
+    other = ShapeIndex(replace(SPACE, factor=SPACE.factor + 1e-17))
+    other.add_betas(betas(3), entries(0, 3))
+    into.merge(other, "elsewhere")
+    assert len(into) == 3
+    with pytest.raises(InputError, match="another metric"):
+        into.merge(ShapeIndex(replace(SPACE, metric="whitened")), "foreign")
 
 
 def test_what_another_handle_merged_is_not_merged_again(tmp_path):

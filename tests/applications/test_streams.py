@@ -15,6 +15,7 @@ from helpers.headless_browser import HeadlessBrowser
 from omad.applications.tracking.frames import Clock, frames_from, frames_of, read_times
 from omad.applications.tracking.streams import recorded, taken
 from omad.cli.main import run
+from omad.common.errors import InputError
 from omad.data.procedural import generate
 from omad.objects.category_file import get_category
 from omad.sensing.foreign import bags
@@ -170,6 +171,9 @@ def test_recordings_are_tracked(kind, sequence, folder, capsys):
     _, expected = tracked(capsys, str(folder), *K, "--fps", "10", "--mask", "masks")
     bag = next(bag.glob("*.mcap"), bag) if kind == "mcap" else bag  # a file alone, or a bag's folder
     _, lines = tracked(capsys, str(bag), "--mask-topic", "/mask")
+    for option in ("mask_topic", "color_topic", "depth_topic"):
+        with pytest.raises(InputError, match=f"{DEPTH_INFO} holds sensor_msgs/msg/CameraInfo; name one of"):
+            next(read_bag(bag, Topics(**{option: DEPTH_INFO})))
     assert [line["time"] for line in lines] == pytest.approx([0, 0.1, 0.2, 0.3])
     for line, other in zip(lines, expected, strict=True):
         assert line["joints"][0]["state"] == pytest.approx(other["joints"][0]["state"], abs=1e-3)

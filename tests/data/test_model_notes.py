@@ -126,6 +126,15 @@ def test_a_model_that_lies_alone_is_named():
 
 
 @pytest.mark.usefixtures("elsewhere")
+def test_models_that_all_lie_are_named():
+    for name in ("one", "two", "three"):
+        write_urdf(drop_down(np.eye(3)), Path("all") / name / f"{name}.urdf")
+    notes = load_folder("all", MICROWAVE).notes
+    assert {note.name for note in notes} == {"one", "two", "three"}
+    assert all("x up, most files have z or y up" in note.reason for note in notes)
+
+
+@pytest.mark.usefixtures("elsewhere")
 @pytest.mark.parametrize(
     ("file", "turn", "said"),
     [

@@ -9,6 +9,7 @@ import pytest
 import omad
 from helpers.command_line import answer, refused
 from helpers.travel import deepest_cut
+from omad.cli.main import run
 from omad.common.errors import InputError
 from omad.data.procedural.own import own_generator
 from omad.data.source import load_models
@@ -40,6 +41,8 @@ def test_they_are_written_and_imported_by_commands(capsys, tmp_path, monkeypatch
     spec = ["--category", str(SPEC)]
     answer(capsys, "generate", *spec, "--source", str(GENERATOR), "--output", "made", "--objects", "3")
     assert len(answer(capsys, "import", "made", *spec, "--output", "seen")["used"]) == 3
+    assert run(["generate", *spec, "--source", str(GENERATOR), "--output", "made", "--objects", "1"]) == 0
+    assert "made: holds 2 others, mailbox-test-0-00001 say" in capsys.readouterr().err
     answer(capsys, "render", *spec, "--source", str(GENERATOR), "--output", "views", "--objects", "2", "--views", "2")
     other = tmp_path / "mailbox.toml"
     other.write_text(SPEC.read_text() + "\n[views]\nelevation = [80, 89]\n")
@@ -75,6 +78,13 @@ WRONG = {
         "import numpy as np\nfrom omad.data.procedural.vocabulary import JointedParts, box\n\n\n"
         "def generate(rng, category, unusual):\n"
         "    return JointedParts((box((0, 0, 0), np.random.uniform(0.1, 0.2, 3)),) * 2, [[0, 0, 0]])\n",
+        "another object for the same rng",
+    ),
+    "one object that is changed": (
+        "from omad.data.procedural.vocabulary import JointedParts, box\n\nPART = box((0, 0, 0), (0.2, 0.2, 0.2))\n\n\n"
+        "def generate(rng, category, unusual):\n"
+        "    PART.vertices[:] *= rng.uniform(0.9, 1.1)\n"
+        "    return JointedParts((PART,) * 2, [[0, 0, 0]])\n",
         "another object for the same rng",
     ),
     "limits of its own randomness": (
@@ -113,6 +123,7 @@ NUMBERS = {
     ),
     "an axis of nothing": ("box((0, 0, 0), (0.1, 0.1, 0.1))", ", axes=np.zeros((1, 3))", "axis without a direction"),
     "limits turned": ("box((0, 0, 0), (0.1, 0.1, 0.1))", ", limits=np.array([[1.0, 0.0]])", "the wrong way round"),
+    "limits in few degrees": ("box((0, 0, 0), (0.1, 0.1, 0.1))", ", limits=np.array([[0.0, 20.0]])", "give radians"),
     "limits in degrees": ("box((0, 0, 0), (0.1, 0.1, 0.1))", ", limits=np.array([[0.0, 90.0]])", "give radians"),
     "millimetres": ("box((0, 0, 0), (300, 300, 300))", "", "520 m across, .* give metres"),
 }

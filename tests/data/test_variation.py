@@ -9,6 +9,7 @@ from helpers.categories import CATEGORIES, EYEGLASSES, LAPTOP
 from helpers.own_models import JAR, jar, microwave
 from omad import get_category
 from omad.data.procedural import generate
+from omad.data.urdf_import.alignment import check_like
 from omad.data.variation import AT_REST, Variation, mirrored, nearly_at_rest, with_variants
 from omad.geometry.mesh import triangle_normals
 from omad.geometry.transforms import MIRROR_X
@@ -80,6 +81,20 @@ def test_symmetric_objects_stay_symmetric():
         boxes = model.part_boxes()
         np.testing.assert_allclose(boxes[0].sum(0)[0], boxes[1].sum(0)[0], atol=1e-3)
         np.testing.assert_allclose(model.axes, [[1, 0, 0]], atol=1e-9)
+
+
+def test_a_door_that_is_called_its_own_image_is_none():
+    """Its hinge would be on the other side, which the spec does not know."""
+    microwave = get_category("microwave")
+    symmetric = tuple(replace(part, mirror=index) for index, part in enumerate(microwave.parts))
+    category = replace(microwave, parts=symmetric, either_hand=False)
+    assert category.part_images is None
+    for made in with_variants([generate(microwave, 0)], category, 12):
+        check_like(made, category)
+        assert made.limits.min() >= 0
+    other = tuple(replace(joint, limits=(0.0, 1.0 + index)) for index, joint in enumerate(EYEGLASSES.joints))
+    assert replace(EYEGLASSES, joints=other).part_images is None
+    assert EYEGLASSES.part_images == (0, 2, 1)
 
 
 def test_screws_keep_their_sense(tmp_path):

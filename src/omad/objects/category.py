@@ -14,6 +14,7 @@ from omad.geometry.joint_kinds import JointType, Motion, motion_of
 from omad.geometry.kinematics import KinematicTree
 
 from .builtin import AUTO
+from .pose import mirrored_axes
 
 RestRule = Literal["closed", "perpendicular", "tips together", "reaching", "zero"]
 """How geometry tells the rest state: the whole's box is smallest, the child is a quarter turn from lying flat on its
@@ -25,6 +26,8 @@ LARGEST = 1e4
 """Of a length in metres, an angle, a number of units."""
 SMALLEST_UNIT, LARGEST_UNIT = 1e-3, 10.0
 """Metres that a category unit, about the radius of its objects, may have: beyond are lengths in another unit."""
+ALIKE = 1e-6
+"""Axes and limits (radians or metres) that differ by less are the same."""
 LONGEST_NAME = 100
 LONGEST_SIDE = 2.0
 """Of a part, as a share of the object's diagonal; 1 is the most that can be."""
@@ -163,10 +166,10 @@ class Category:
         ):
             with within(f"{field}: "):
                 check_limit(limit, size, "this category")
-        if not 1 <= self.basis_size <= 3 * self.num_keypoints:
-            raise ValueError(f"basis_size: is {self.basis_size}; give a whole number from 1 to three a keypoint")
         if not self.joints or len(self.parts) != len(self.joints) + 1:
             raise ValueError("parts: needs a base and at least one part that moves, each by a joint of its own")
+        if not 1 <= self.basis_size <= 3 * self.num_keypoints:
+            raise ValueError(f"basis_size: is {self.basis_size}; give a whole number from 1 to three a keypoint")
         for index, part in enumerate(self.parts):
             with within(f"parts[{index}]."):
                 _check_unique(part, self.parts)
@@ -245,13 +248,24 @@ class Category:
 
     @property
     def part_images(self) -> tuple[int, ...] | None:
-        """Whose image in the plane x = 0 each part is, where the images hang on each other as the parts do; None where
-        they do not, or there are none: a thread in a mirror is another thread."""
+        """Whose image in the plane x = 0 each part is, where the images hang on each other, and move, as the parts do;
+        None where they do not, or there are none: a thread in a mirror is another thread."""
         images = tuple(part.mirror for part in self.parts if part.mirror is not None)
         if len(images) < len(self.parts) or images[0] != 0 or any(joint.pitch for joint in self.joints):
             return None
-        rows = zip(images[1:], self.joints, strict=True)
-        return images if all(images[j.parent] == self.joints[image - 1].parent for image, j in rows) else None
+        rows, joints = zip(images[1:], self.joints, strict=True), np.array(images[1:]) - 1
+        if any(images[joint.parent] != self.joints[image - 1].parent for image, joint in rows):
+            return None
+        turning, limits, signs = np.array(self.turning), self.metric_limits, self.signs_of_images(joints)
+        moved = np.sort(signs[:, None] * limits[joints], 1)
+        alike = np.allclose(np.abs(signs), 1, atol=ALIKE) and np.allclose(moved, limits, atol=ALIKE)
+        return images if alike and (turning[joints] == turning).all() else None
+
+    def signs_of_images(self, joints: np.ndarray) -> np.ndarray:
+        """(J,) of the states in the plane x = 0 of joints whose images are ``joints`` (J,): 1 or -1 where axes are."""
+        axes = np.array([joint.axis for joint in self.joints], float)
+        axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+        return (mirrored_axes(axes, self.turning) * axes[joints]).sum(1)
 
 
 def check_unit(metres_per_unit: float) -> None:

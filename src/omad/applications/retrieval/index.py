@@ -4,7 +4,7 @@ import hashlib
 import io
 import json
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from numbers import Integral
 from pathlib import Path
@@ -117,9 +117,10 @@ class ShapeIndex:
         """(D, D) mean of the entries'; those of unknown covariance, as of object models, count as certain."""
         return self._covariances / max(len(self), 1)
 
-    def add(self, signatures: Sequence[Signature], entries: Sequence[Entry]) -> None:
+    def add(self, signatures: Iterable[Signature], entries: Iterable[Entry]) -> None:
         """Add objects. Raises InputError for a signature of another prior, and for what are no signatures or
         entries."""
+        signatures, entries = [*signatures], [*entries]
         if len(signatures) != len(entries):
             raise InputError(f"{len(signatures)} signatures for {len(entries)} entries; give one each")
         check_entries(entries)

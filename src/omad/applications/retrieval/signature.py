@@ -25,6 +25,8 @@ from omad.objects.model import SampledObject
 Metric = Literal["keypoints", "beta", "whitened"]
 SUREST, UNTOLD = 0.999, 0.6
 """Probability of a hand beyond which none counts for more, and that of one of which nobody learned how to tell it."""
+ROUNDED = 1e-9
+"""By how much factors of one prior differ at most, as processors round otherwise."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +100,9 @@ class Space:
         size = len(self.factor)
         numbers(signature.beta, size, what="beta")
         if signature.covariance is not None:
-            numbers(signature.covariance, size, size, what="covariance of beta")
+            known = numbers(signature.covariance, size, size, what="covariance of beta")
+            if (np.diagonal(known) < 0).any():
+                raise InputError("covariance of beta: has variances below zero; leave it out")
 
     def check_prior(self, prior: str) -> None:
         """Raises InputError for another prior's fingerprint."""
@@ -109,7 +113,8 @@ class Space:
 
     def check_same(self, other: Self, source: str | Path, place: str | Path) -> None:
         """Raises InputError where that of a catalogue at ``source`` is another one than this, of that at ``place``."""
-        if not np.array_equal(other.factor, self.factor) or other.prior != self.prior:
+        same = other.prior == self.prior and other.metric == self.metric
+        if not same or not np.allclose(other.factor, self.factor, atol=ROUNDED):  # processors round otherwise
             raise InputError(f"{source}: is of other weights or another metric than {place}; build it anew")
 
 

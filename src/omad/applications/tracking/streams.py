@@ -11,7 +11,7 @@ from omad.sensing.depth_files import MILLIMETRES
 from omad.sensing.foreign.bags import RecordedFrame, Topics, read_bag
 from omad.sensing.input_options import FrameOptions, InputOptions
 from omad.sensing.observation import Observation
-from omad.sensing.reader import Find, InputReader
+from omad.sensing.reader import INTRINSICS, Find, InputReader
 
 from .frames import FrameFile
 
@@ -51,7 +51,8 @@ class FrameReader:
                 scale = (scale or reader.metres_per_integer(camera.depth_scale)) / MILLIMETRES
             depth = depth if scale is None else (depth * scale).astype(np.float32)
             color = source.color if reader.color is None else reader.color
-            return self._of_one_size(reader.observe(depth, mask, camera, color))
+            told_by = INTRINSICS if reader.camera else "its recording"
+            return self._of_one_size(reader.observe(depth, mask, camera, color, told_by))
 
     def _cut_out(self, seen: Observation, box: Sequence[float] | None) -> Observation:
         return self.find(self._of_one_size(seen), box)

@@ -27,8 +27,8 @@ from .shapes import JointedParts
 SUFFIX = ".py"
 SHORTEST = 1e-6
 """Length of an axis."""
-FARTHEST_TURN = 8 * np.pi
-"""Radians."""
+FARTHER = 2 * np.pi
+"""Radians beyond the spec's limits: so far turns nothing, but what was given in degrees."""
 LEAST_ALONG = 0.7
 """Cosine between an object's axis and the spec's below which it is another one."""
 
@@ -141,7 +141,7 @@ def _fitting(path: Path, made: object, category: Category) -> JointedParts:
 def _array(values: Any, dtype: type | None = np.float64) -> Any:
     """Of doubles, or of what there is, where there are any; no numbers are NaN."""
     try:
-        return None if values is None else np.asarray(values, dtype=dtype)
+        return None if values is None else np.array(values, dtype=dtype)  # a copy: it may change its own
     except (TypeError, ValueError):
         return np.array(np.nan)
 
@@ -159,9 +159,10 @@ def _fault(made: JointedParts, category: Category) -> str | None:
     if made.limits is not None:
         if not (made.limits[:, 0] < made.limits[:, 1]).all():
             return "limits that are the wrong way round; give the least first"
-        if (np.abs(made.limits[list(category.turning)]) > FARTHEST_TURN).any():
-            return "limits of many turns; give radians"
         spec = category.metric_limits
+        beyond = np.abs(made.limits).max(1) - np.abs(spec).max(1)
+        if (beyond[list(category.turning)] > FARTHER).any():
+            return "limits of many turns; give radians"
         if (np.maximum(made.limits[:, 0], spec[:, 0]) >= np.minimum(made.limits[:, 1], spec[:, 1])).any():
             return "limits that are outside of the spec's; give radians or metres from the rest state"
     odd = odd_size(diagonal(np.stack([box(part.vertices) for part in made.parts])), category)

@@ -39,6 +39,8 @@ MANY_TURNS = 4 * math.pi
 """Radians; no hinge's limit is so large ..."""
 IN_DEGREES = "are radians in a URDF; of degrees so large, divide them by 57.3"
 """... and what is said of one that is."""
+USUAL_UP = {"+z", "+y"}
+"""Which axis of files is up."""
 NORMALISED = (1.4, 3.6)
 """Least and largest diagonal of a model in a unit sphere, roughly."""
 USUAL = 2.0
@@ -220,9 +222,9 @@ def size_doubt(model: ObjectModel, category: Category, scale: float, folder: Pat
 
 
 def lying(up: dict[str, str], z_up: Collection[str], either_hand: bool) -> list[Refusal]:
-    """Models, by the axes of their files that were turned ``up``, that have another one up than most, or where most do
-    not agree, as one alone, one that files seldom have: of those named in ``z_up`` any but z. Where the spec knows of
-    one hand alone, they may be of the other one."""
+    """Models, by the axes of their files that were turned ``up``, that have another one up than most. Where most do not
+    agree, as one alone, or all lie as files seldom do: those that have one up that files seldom have, of those named in
+    ``z_up`` any but z. Where the spec knows of one hand alone, they may be of the other one."""
     usual, count = Counter(up.values()).most_common(1)[0] if up else ("", 0)
     agreed = count > max(1, len(up) / 2)
     cure = "if it lies or stands on its head, leave it out, or it belongs to another category"
@@ -230,12 +232,12 @@ def lying(up: dict[str, str], z_up: Collection[str], either_hand: bool) -> list[
         cure += "; if it is the mirror image of the others, say either_hand = true in the spec"
     found = []
     for name, axis in up.items():
-        if agreed:
+        if agreed and usual in USUAL_UP:
             expected, others = {usual}, f"the others with {usual}"
         elif name in z_up:
             expected, others = {"+z"}, "PartNet-Mobility's files have z up"
         else:
-            expected, others = {"+z", "+y"}, "most files have z or y up"
+            expected, others = USUAL_UP, "most files have z or y up"
         if axis not in expected:
             found.append(Refusal(name, f"stands with its file's {axis} up, {others}: look at it; {cure}"))
     return found

@@ -16,10 +16,6 @@ from omad.geometry.transforms import MIRROR_X
 from omad.model.omadnet import Prediction
 from omad.model.prior import mirror_map
 from omad.objects.category import Category
-from omad.objects.pose import mirrored_axes
-
-ALIKE = 1e-6
-"""Axes and limits (radians or category units) that differ by less are the same."""
 
 
 @dataclass(frozen=True)
@@ -43,13 +39,7 @@ class Mirror:
         if parts is None:
             return None
         images = np.array(parts[1:]) - 1
-        axes = np.array([joint.axis for joint in category.joints], float)
-        axes /= np.linalg.norm(axes, axis=1, keepdims=True)
-        signs = (mirrored_axes(axes, category.turning) * axes[images]).sum(1)
-        limits = np.array([joint.limits for joint in category.joints])
-        moved = np.sort(signs[:, None] * limits[images], 1)
-        if not (np.allclose(np.abs(signs), 1, atol=ALIKE) and np.allclose(moved, limits, atol=ALIKE)):
-            return None
+        signs = category.signs_of_images(images)
         learned = mirror_map(category)
         partner = np.array(learned.source)
         own = np.flatnonzero(learned.is_image)

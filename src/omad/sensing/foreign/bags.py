@@ -86,7 +86,8 @@ def read_bag(path: str | Path, topics: Topics = Topics(), with_cameras: bool = T
     if not path.exists():
         raise InputError(f"{path}: no such recording; give an .mcap, .db3 or .bag file, or a ROS 2 bag's folder")
     store = typesys.get_typestore(typesys.Stores.LATEST)
-    with readable(path, "a recording"), highlevel.AnyReader([path], default_typestore=store) as reader:
+    cure = "export it again, or mend it (mcap recover, ros2 bag reindex)"
+    with readable(path, "a recording", cure), highlevel.AnyReader([path], default_typestore=store) as reader:
         chosen = _chosen(reader, topics, path)
         yield from _frames(reader, chosen if with_cameras else replace(chosen, info=[]))
 
@@ -107,10 +108,13 @@ class _Chosen:
 def _chosen(reader: Any, topics: Topics, path: Path) -> _Chosen:
     listed = sorted({c.topic for c in reader.connections})
 
-    def of(topic: str | None) -> list[Any]:
+    def of(topic: str | None, *kinds: str) -> list[Any]:
         if topic is not None and topic not in listed:
             raise InputError(f"{path}: no topic {topic}; there are {', '.join(listed)}")
-        return [c for c in reader.connections if c.topic == topic]
+        found = [c for c in reader.connections if c.topic == topic]
+        if odd := next((c.msgtype for c in found if c.msgtype not in kinds), None):
+            raise InputError(f"{path}: topic {topic} holds {odd}; name one of {' or '.join(kinds)}")
+        return found
 
     depth = topics.depth_topic
     if depth is None:
@@ -123,7 +127,10 @@ def _chosen(reader: Any, topics: Topics, path: Path) -> _Chosen:
         depth = min(likely, key=lambda topic: ("aligned" in topic or "registered" in topic, topic))
     infos = {c.topic for c in reader.connections if c.msgtype == INFO}
     info = topics.info_topic or _camera_beside(depth, infos)
-    return _Chosen(of(depth), of(info), of(topics.color_topic), of(topics.mask_topic))
+    of_depth, of_color, of_mask = (
+        of(topic, IMAGE, COMPRESSED) for topic in (depth, topics.color_topic, topics.mask_topic)
+    )
+    return _Chosen(of_depth, of(info, INFO), of_color, of_mask)
 
 
 def _camera_beside(image: str, infos: set[str]) -> str | None:

@@ -37,6 +37,8 @@ PART_ENTRIES, PART_BYTES, PART_SECONDS = 2**18, 2**27, 60.0
 """When what came in is written: so much is in memory, and so much is made again after a kill."""
 GROWTH = 8
 """Times more entries than the lists' centres were chosen for call for new ones."""
+ROUNDED = 1e-4
+"""By how much sums of betas differ that were estimated anew, in other batches say, at most."""
 WRITER = "another command"
 """Who may be at it."""
 BLOCK = 4096
@@ -187,11 +189,11 @@ class LargeIndex:
         def coming() -> Iterator[Portion]:
             yield from _portions_of(other, self.taken(source))  # asked for when nobody else writes any more
 
-        self._add(coming(), source, lambda count: _digest_of_betas(other, count))
+        self._add(coming(), source, lambda count: _digest_of_entries(other, count))
 
     def _check_inputs(self, source: str, digest: Digest | None) -> None:
         known, taken = dict(self.manifest.names).get(source), self.taken(source)
-        if digest is not None and known not in (None, digest(taken)):
+        if digest is not None and known is not None and not _same(known, digest(taken)):
             cure = "put new ones into a folder of their own, give the same options, or build it anew"
             said = f"its first {taken} inputs are not those that are in {self.folder}, or read with other options"
             raise InputError(f"{source}: {said}; {cure}")
@@ -294,11 +296,22 @@ def _portions_of(index: ShapeIndex | LargeIndex, first: int) -> Iterator[Portion
         yield Portion(_betas_of(index, rows), entries, index.usual_covariance * len(rows), len(rows))
 
 
-def _digest_of_betas(index: ShapeIndex | LargeIndex, count: int) -> str:
-    found = sha256()
+def _digest_of_entries(index: ShapeIndex | LargeIndex, count: int) -> str:
+    """Of what they are called, and after it sums of their betas: built anew, these may be rounded otherwise."""
+    found, sums = sha256(), np.zeros(len(index.space.factor))
     for rows in _blocks(0, min(count, len(index))):
-        found.update(np.ascontiguousarray(_betas_of(index, rows), np.float32).tobytes())
-    return found.hexdigest()[:32]
+        sums += np.cos(rows) @ _betas_of(index, rows)  # no two rows count alike
+        for row in rows.tolist():
+            entry = index.entry(row) if isinstance(index, LargeIndex) else index.entries[row]
+            found.update(f"{entry.name}\0{entry.source}\0".encode(errors="surrogateescape"))
+    numbers = (f"{value:.6f}" for value in sums / max(count, 1) ** 0.5)
+    return " ".join([found.hexdigest()[:32], *numbers])
+
+
+def _same(known: str, digest: str) -> bool:
+    (before, *numbers), (now, *others) = known.split(), digest.split()
+    told = len(numbers) == len(others) and before == now
+    return told and np.allclose([*map(float, numbers)], [*map(float, others)], rtol=0, atol=ROUNDED)
 
 
 def _betas_of(index: ShapeIndex | LargeIndex, rows: np.ndarray) -> np.ndarray:
