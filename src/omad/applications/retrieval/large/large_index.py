@@ -189,7 +189,7 @@ class LargeIndex:
         def coming() -> Iterator[Portion]:
             yield from _portions_of(other, self.taken(source))  # asked for when nobody else writes any more
 
-        self._add(coming(), source, lambda count: _digest_of_entries(other, count))
+        self._add(coming(), source, _DigestOfEntries(other))
 
     def _check_inputs(self, source: str, digest: Digest | None) -> None:
         known, taken = dict(self.manifest.names).get(source), self.taken(source)
@@ -289,33 +289,40 @@ def open_index(path: str | Path) -> ShapeIndex | LargeIndex:
 def _portions_of(index: ShapeIndex | LargeIndex, first: int) -> Iterator[Portion]:
     """Its entries from the row ``first`` on; of their covariances only the mean is known."""
     for rows in _blocks(first, len(index)):
-        if isinstance(index, LargeIndex):
-            entries = [index.entry(row) for row in rows.tolist()]
-        else:
-            entries = index.entries[rows[0] : rows[-1] + 1]
-        yield Portion(_betas_of(index, rows), entries, index.usual_covariance * len(rows), len(rows))
+        yield Portion(_betas_of(index, rows), _entries_of(index, rows), index.usual_covariance * len(rows), len(rows))
 
 
-def _digest_of_entries(index: ShapeIndex | LargeIndex, count: int) -> str:
-    """Of what they are called, and after it sums of their betas: built anew, these may be rounded otherwise."""
-    found, sums = sha256(), np.zeros(len(index.space.factor))
-    for rows in _blocks(0, min(count, len(index))):
-        sums += np.cos(rows) @ _betas_of(index, rows)  # no two rows count alike
-        for row in rows.tolist():
-            entry = index.entry(row) if isinstance(index, LargeIndex) else index.entries[row]
-            found.update(f"{entry.name}\0{entry.source}\0".encode(errors="surrogateescape"))
-    numbers = (f"{value:.6f}" for value in sums / max(count, 1) ** 0.5)
-    return " ".join([found.hexdigest()[:32], *numbers])
+class _DigestOfEntries:
+    """Of what a catalogue's first so many entries are called, and behind it sums of their betas, as these are rounded
+    otherwise where they were estimated anew; for numbers that grow."""
+
+    def __init__(self, index: ShapeIndex | LargeIndex) -> None:
+        self._index, self._names, self._done = index, sha256(), 0
+        self._sums = np.zeros(len(index.space.factor))
+
+    def __call__(self, count: int) -> str:
+        index = self._index
+        for rows in _blocks(self._done, min(count, len(index))):
+            self._sums += np.cos(rows) @ _betas_of(index, rows)  # no two rows count alike
+            for entry in _entries_of(index, rows):
+                self._names.update(f"{entry.name}\0{entry.source}\0".encode(errors="surrogateescape"))
+        self._done = count
+        numbers = (f"{value:.6f}" for value in self._sums / max(count, 1) ** 0.5)
+        return " ".join([self._names.hexdigest()[:32], *numbers])
 
 
 def _same(known: str, digest: str) -> bool:
-    (before, *numbers), (now, *others) = known.split(), digest.split()
-    told = len(numbers) == len(others) and before == now
-    return told and np.allclose([*map(float, numbers)], [*map(float, others)], rtol=0, atol=ROUNDED)
+    before, now = known.partition(" "), digest.partition(" ")
+    sums = [np.fromstring(numbers, sep=" ") for *_, numbers in (before, now)]
+    return before[0] == now[0] and len(sums[0]) == len(sums[1]) and np.allclose(*sums, rtol=0, atol=ROUNDED)
 
 
 def _betas_of(index: ShapeIndex | LargeIndex, rows: np.ndarray) -> np.ndarray:
     return index.betas_of(rows) if isinstance(index, LargeIndex) else index.betas[rows]
+
+
+def _entries_of(index: ShapeIndex | LargeIndex, rows: np.ndarray) -> list[Entry]:
+    return [index.entry(row) if isinstance(index, LargeIndex) else index.entries[row] for row in rows.tolist()]
 
 
 def _blocks(first: int, end: int) -> Iterator[np.ndarray]:
