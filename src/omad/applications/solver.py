@@ -43,7 +43,7 @@ class Found:
     ranking: Ranking | None = None
     """Of the likeliest categories, where they were compared."""
     none: bool = False
-    """It is of none of the categories: the estimate is by the one that it is likest."""
+    """It is of none of the categories: the estimate is by the one that it is most like."""
 
     @classmethod
     def of(cls, estimate: Estimate, checks: list[Check], ranking: Ranking | None = None, none: bool = False) -> Self:

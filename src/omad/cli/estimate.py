@@ -297,8 +297,8 @@ def detections_text(answer: dict[str, Any]) -> str:
 
 
 def nearest_text(answer: dict[str, Any]) -> str:
-    """What is likest a thing that is of none of the categories."""
-    return f"probability {chance(answer['none'])}; likest: {answer['categories'][0]['category']}"
+    """What is most like a thing that is of none of the categories."""
+    return f"probability {chance(answer['none'])}; most like: {answer['categories'][0]['category']}"
 
 
 def joints_text(answer: dict[str, Any]) -> str:
@@ -374,6 +374,7 @@ def _folder_names(files: Sequence[Path]) -> list[str]:
     places = [Path(os.path.abspath(file)) for file in files]
     for name in (lambda p: p.stem, lambda p: p.name, lambda p: f"{p.parent.name}-{p.name}"):
         names = [name(place) for place in places]
-        if len(set(names)) == len(names):
+        apart = {name.casefold() for name in names}  # there are file systems that do not tell capitals
+        if len(apart) == len(names) and not apart & {".", ".."}:
             return names
     return [f"{number:05d}-{place.name}" for number, place in enumerate(places)]

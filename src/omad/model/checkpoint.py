@@ -189,7 +189,8 @@ def _read_config(folder: Path, network: type[Network]) -> dict[str, Any]:
     if not is_checkpoint(folder) and (folder / STATE).is_file():
         raise InputError(f"{folder}: its training was interrupted; give the same command again, which goes on with it")
     if not is_checkpoint(folder):
-        raise InputError(f"{folder}: no config.json here; {cure}")
+        inside = "give one of the folders in it, that of a category"
+        raise InputError(f"{folder}: no config.json here; {inside if any(folder.glob('*/config.json')) else cure}")
     config = read_sealed(path, cure)
     found = (config.get("format"), config.get("kind")) if isinstance(config, dict) else (None, None)
     if None in found:
