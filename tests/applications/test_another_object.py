@@ -30,6 +30,5 @@ def test_two_sure_answers_begin_a_track_where_its_own_explain_nothing():
     for index, (model, state, azimuth) in enumerate(states):
         depth = render(model, np.array([state]), seen_from(azimuth), STANDARD_CAMERA).depth
         found.append(tracker(omad.Observation.from_depth(depth, STANDARD_CAMERA), index / 30))
-
     assert [one.status for one in found[-4:]] == ["tracking"] * 4
     assert abs(found[-1].estimate.joint_states[0] - 0.5) < np.radians(5)

@@ -58,11 +58,10 @@ class Generate:
         for model in load_models(self.source, category, self.objects, self.split, self.seed).models:
             files.append(str(self.output / model.name / f"{model.name}.urdf"))
             write_urdf(model, files[-1])
-        others = {path.name for path in self.output.iterdir()} - {Path(file).parent.name for file in files}
-        if others:
-            print(
-                f"{self.output}: holds {len(others)} others, {min(others)} say, that were not made now", file=sys.stderr
-            )
+        folders = {path.name for path in self.output.iterdir() if path.is_dir()}
+        if others := folders - {Path(file).parent.name for file in files}:
+            said = f"holds {len(others)} others, {min(others)} say, that were not made now"
+            print(f"{self.output}: {said}", file=sys.stderr)
         return Answer({"category": category.name, "files": files})
 
 
