@@ -56,7 +56,7 @@ def main(config: Config) -> None:
 def shown(category: Category, config: Config) -> Iterator[Example]:
     models = [generate(category, index, "test", config.seed) for index in range(config.objects)]
     if config.spoilt:
-        yield from (one for one in examples(models, category, config.objects, config.seed) if one.of_category)
+        yield from (one for one in examples(models, category, range(config.objects), config.seed) if one.of_category)
         return
     for index, model in enumerate(models):
         yield Example(standard_view(model, category, (config.seed, index), LEVELS["on"]), True)

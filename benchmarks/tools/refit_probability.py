@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import tyro
 
-from omad.cli.training.networks import UNSEEN
+from omad.cli.training.fitted import UNSEEN
 from omad.common.errors import InputError
 from omad.data.source import load_models
 from omad.estimation.confidence.model import Confidence

@@ -180,9 +180,9 @@ def test_confidence_is_trained_into_the_checkpoint(capsys, monkeypatch):
     """The second training has the answers of the first: the same seed draws the same views."""
     answers, answered = {}, fitting.answered
 
-    def answered_once(estimator, models, views, seed):
+    def answered_once(estimator, models, views, seed, begun):
         if (views, seed) not in answers:
-            answers[views, seed] = answered(estimator, models, views, seed)
+            answers[views, seed] = answered(estimator, models, views, seed, begun)
         return answers[views, seed]
 
     monkeypatch.setattr(fitting, "answered", answered_once)

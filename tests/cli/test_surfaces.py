@@ -10,7 +10,7 @@ import pytest
 import omad
 from helpers.command_line import LAPTOP, K, answer, laptop_view, refused, save_png
 from omad.cli.main import run
-from omad.cli.training import networks
+from omad.cli.training import fitted
 from omad.cli.training.fitted import surface_text
 from omad.evaluation.confidence import surface_shares
 from omad.model.checkpoint import find_weights, load, save
@@ -66,19 +66,19 @@ def test_where_nothing_can_be_written_is_told_before_anything_is_measured(weight
     def denied(path):
         raise PermissionError(13, "Permission denied")
 
-    monkeypatch.setattr(networks, "unfinished", denied)
+    monkeypatch.setattr(fitted, "unfinished", denied)
     monkeypatch.setattr(surface_shares, "measured_shares", None)
     said = refused(capsys, "train", "surface", *LAPTOP, "--weights", str(weights), "--objects", "1")
     assert "surfaces.npz: cannot be written (Permission denied)" in said
 
 
 def test_that_shipped_weights_are_changed_is_told(tmp_path, capsys):
-    networks._check_folder_of(None, tmp_path, FILE)
+    fitted._check_folder_of(None, tmp_path, FILE)
     assert (
         "surfaces.npz: of the shipped weights, is written anew; to keep it, give --weights" in capsys.readouterr().err
     )
     with pytest.raises(omad.InputError, match="is at an address"):
-        networks._check_folder_of(Path("https://here.org/w"), tmp_path, FILE)
+        fitted._check_folder_of(Path("https://here.org/w"), tmp_path, FILE)
     assert not any(tmp_path.iterdir())
 
 

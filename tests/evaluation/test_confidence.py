@@ -12,8 +12,7 @@ from scipy.stats import mannwhitneyu, norm
 
 import omad
 from helpers.categories import DRAWER, LAPTOP
-from omad.cli.training.fitted import confidence_text
-from omad.cli.training.networks import TrainConfidence
+from omad.cli.training.fitted import TrainConfidence, confidence_text
 from omad.common.errors import InputError
 from omad.data.procedural import generate
 from omad.data.rendering.rasteriser import NOTHING
@@ -137,7 +136,7 @@ def test_other_things_count_for_the_probability_alone(errors_alone: None) -> Non
 
 def test_too_few_views_are_refused_before_any_is_made(monkeypatch: pytest.MonkeyPatch) -> None:
     for made in ("load_models", "fit_hand"):  # the hand is learned first
-        monkeypatch.setattr(f"omad.cli.training.networks.{made}", None)
+        monkeypatch.setattr(f"omad.cli.training.fitted.{made}", None)
     with pytest.raises(InputError, match=r"views: are 199, .* at least 200 .* give more"):
         TrainConfidence(category="microwave", views=199).run()
     with pytest.raises(InputError, match="from 306 on"):  # enough only if all of them showed it
@@ -192,8 +191,8 @@ def test_calibration_error_and_area_of_closed_forms() -> None:
 
 def test_training_views_are_repeatable_and_of_many_kinds() -> None:
     models = [generate(LAPTOP, index, "train", 1) for index in range(3)]
-    shown = list(examples(models, LAPTOP, 12, 0))
-    again = list(examples(models, LAPTOP, 12, 0))
+    shown = list(examples(models, LAPTOP, range(12), 0))
+    again = list(examples(models, LAPTOP, range(12), 0))
     for one, other in zip(shown, again, strict=True):
         assert np.array_equal(one.view.depth, other.view.depth)
         assert np.array_equal(one.observation().points, other.observation().points)
@@ -213,7 +212,7 @@ def test_masks_that_leave_a_part_out_count_for_the_probability_alone(monkeypatch
     found = fitting.answered(omad.Estimator.from_pretrained("laptop", "cpu"), models, 12, 0)
     assert not found.counted.any()
     assert len(found.right) == 12
-    shown = [one for one in examples(models, LAPTOP, 12, 0) if one.of_category]
+    shown = [one for one in examples(models, LAPTOP, range(12), 0) if one.of_category]
     parts = [np.unique(one.view.labels[one.view.mask & (one.view.labels != NOTHING)]) for one in shown]
     assert all(one.part_missed for one in shown)
     assert any(len(those) == 1 for those in parts)  # a wider mask takes in some of what was left out
@@ -265,7 +264,7 @@ def test_an_object_is_seen_by_every_camera_stretched_or_not(monkeypatch: pytest.
 
 def test_views_to_learn_from_are_not_those_to_measure_on():
     model = generate(LAPTOP, 0)
-    seen = [one.view for one in examples([model], LAPTOP, 4, seed=0) if one.of_category]
+    seen = [one.view for one in examples([model], LAPTOP, range(4), seed=0) if one.of_category]
     measured_on = [standard_view(model, LAPTOP, (*view.seed[:2], 0)) for view in seen]
     assert seen
     assert not any(np.allclose(a.states, b.states) for a, b in zip(seen, measured_on, strict=True))

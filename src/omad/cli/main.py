@@ -39,8 +39,9 @@ from .scale.serve import Serve
 from .shipped import Compile, Demo, Deploy, Export, Info
 from .track import Track
 from .training.all import TrainAll
+from .training.fitted import TrainConfidence, TrainSurface
 from .training.fronts import TrainFronts
-from .training.networks import TrainAncsh, TrainConfidence, TrainNet, TrainPrior, TrainSiamese, TrainSurface
+from .training.networks import TrainAncsh, TrainNet, TrainPrior, TrainSiamese
 from .training.proposals import TrainProposals
 
 ABOUT = (

@@ -17,7 +17,8 @@ from omad.common.lazy import lazy_imports
 from ..answer import Answer, table
 from ..evaluation.pose import EvalPose
 from ..options import Json, Seed, Views, check_positive, generable
-from .networks import SeveralProcesses, TrainConfidence, TrainNet, TrainPrior, TrainSurface
+from .fitted import TrainConfidence, TrainSurface
+from .networks import SeveralProcesses, TrainNet, TrainPrior
 from .schedule import ScheduleOptions
 
 with lazy_imports():

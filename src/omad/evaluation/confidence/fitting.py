@@ -3,7 +3,7 @@ right answer by maximum likelihood."""
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,6 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor, nn
 from torch.nn.functional import binary_cross_entropy_with_logits, softplus
 
-from omad.common.batches import batched, progress
 from omad.common.errors import InputError
 from omad.data.rendering.standard_views import true_pose
 from omad.estimation.confidence.model import Confidence, FittedTo, deviations, image_inputs, joint_inputs
@@ -25,6 +24,7 @@ from omad.objects.model import ObjectModel
 
 from ..calibration import area_under_roc, expected_calibration_error
 from ..metrics import pose_errors
+from .gathered import Begun, Rows, gathered
 from .views import HEAPS, OTHERS, PART_MISSED, Example, examples
 
 BATCH = 64
@@ -82,19 +82,23 @@ def check_views(views: int) -> None:
         raise InputError(f"{said}; give more, from {needed} on")
 
 
-def answered(estimator: Estimator, models: Sequence[ObjectModel], views: int, seed: int) -> JudgedAnswers:
-    """The estimator's answers to so many views of the ``models``, and of other things."""
-    category = estimator.category
-    found = [
-        _answer(estimator, some)
-        for some in batched(progress(examples(models, category, views, seed), views, every=30.0), BATCH)
-    ]
-    signals = Signals.joined([one.signals for one in found])
-    keys = ("errors", "right", "base", "least")
-    return JudgedAnswers(signals, *(np.concatenate([getattr(one, key) for one in found]) for key in keys))
+def answered(
+    estimator: Estimator, models: Sequence[ObjectModel], views: int, seed: int, begun: Begun | None = None
+) -> JudgedAnswers:
+    """The estimator's answers to so many views of the ``models``, and of other things. With ``begun`` they go on."""
+
+    def made(indices: range) -> Rows:
+        return _answers(estimator, list(examples(models, estimator.category, indices, seed)))
+
+    rows = gathered(made, views, BATCH, f"answers-{seed}", begun)
+    signals = Signals(*(rows.pop(field.name) for field in fields(Signals)))
+    return JudgedAnswers(signals, **rows)
 
 
-def _answer(estimator: Estimator, shown: Sequence[Example]) -> JudgedAnswers:
+def _answers(estimator: Estimator, shown: Sequence[Example]) -> Rows:
+    """What ``JudgedAnswers`` and its signals hold of these views."""
+    if not shown:
+        return {}
     category = estimator.category
     estimates = estimator([example.observation() for example in shown])
     errors, right = np.full((len(shown), len(category.joints)), np.nan), np.zeros(len(shown), dtype=bool)
@@ -107,8 +111,9 @@ def _answer(estimator: Estimator, shown: Sequence[Example]) -> JudgedAnswers:
             if not example.part_missed:
                 errors[number] = found.joint_state / category.state_units
                 base[number] = base_errors(estimate.T_camera_base, example.view.T_camera_base)
-    signals = Signals.joined([estimate.signals for estimate in estimates])
-    return JudgedAnswers(signals, errors, right, base / base_std(covariance), state_std(covariance, category))
+    told = {"errors": errors, "right": right, "base": base / base_std(covariance)}
+    told["least"] = state_std(covariance, category)
+    return told | vars(Signals.joined([estimate.signals for estimate in estimates]))
 
 
 def base_errors(found: np.ndarray, true: np.ndarray) -> np.ndarray:

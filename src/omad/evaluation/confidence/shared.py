@@ -5,13 +5,13 @@ from itertools import combinations
 
 import numpy as np
 
-from omad.common.batches import batched, progress
 from omad.data.rendering.depth_noise import ON
 from omad.data.rendering.standard_views import views_together
 from omad.estimation.estimator import Estimator
 from omad.estimation.several_views import alike_by_angle
 from omad.objects.model import ObjectModel
 
+from .gathered import Begun, Rows, gathered
 from .views import APART
 
 VIEWS = 3
@@ -23,22 +23,25 @@ DIGITS = 3
 """Behind the point; more are chance."""
 
 
-def fit_shared(estimator: Estimator, models: Sequence[ObjectModel], objects: int, seed: int) -> float:
-    """``Confidence.shared`` from so many of the ``models``, each seen from several sides at one moment."""
-    category, errors, directions = estimator.category, list[np.ndarray](), list[np.ndarray]()
-    for some in batched(progress(range(objects), objects, every=30.0), BATCH):
-        views = [
-            view
-            for index in some
-            for view in views_together(models[index % len(models)], category, (seed, index, APART), VIEWS, ON)
-        ]
+def fit_shared(
+    estimator: Estimator, models: Sequence[ObjectModel], objects: int, seed: int, begun: Begun | None = None
+) -> float:
+    """``Confidence.shared`` from so many of the ``models``, each seen from several sides at one moment. With ``begun``
+    it goes on."""
+    category = estimator.category
+
+    def made(indices: range) -> Rows:
+        some = [(models[index % len(models)], (seed, index, APART)) for index in indices]
+        views = [view for model, each in some for view in views_together(model, category, each, VIEWS, ON)]
         estimates = estimator([view.observation() for view in views])
         std = np.array([[joint.state_std for joint in estimate.joints] for estimate in estimates])
         off = np.array([estimate.joint_states for estimate in estimates]) - [view.states for view in views]
-        errors.append(np.clip(off / std, -MOST, MOST))
-        directions.append(np.array([np.linalg.inv(view.T_camera_base)[:3, 3] for view in views]))
-    shared = shared_part(*(np.concatenate(each).reshape(objects, VIEWS, -1) for each in (errors, directions)))
-    return round(shared, DIGITS)
+        directions = np.array([np.linalg.inv(view.T_camera_base)[:3, 3] for view in views])
+        rows = {"errors": np.clip(off / std, -MOST, MOST), "directions": directions}
+        return {name: each.reshape(len(some), VIEWS, -1) for name, each in rows.items()}
+
+    rows = gathered(made, objects, BATCH, f"shared-{seed}", begun)
+    return round(shared_part(**rows), DIGITS)
 
 
 def shared_part(errors: np.ndarray, directions: np.ndarray) -> float:

@@ -1,6 +1,6 @@
 """Views to learn confidence from: spoilt in few ways or in many, of usual and unusual objects, and of other things."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -53,15 +53,11 @@ class Example:
         return seen if self.kept is None else Observation.from_points(seen.points[self.kept])
 
 
-def examples(models: Sequence[ObjectModel], category: Category, count: int, seed: int) -> Iterator[Example]:
-    """``count`` views of the ``models`` and of what is none of them; the same for the same arguments."""
-    drawn = index = 0
-    while drawn < count:
-        example = _example(models, category, (seed, index, APART))
-        index += 1
-        if example is not None:
-            drawn += 1
-            yield example
+def examples(models: Sequence[ObjectModel], category: Category, indices: Iterable[int], seed: int) -> Iterator[Example]:
+    """Views of the ``models`` and of what is none of them, one of each index, but where it would show too little; the
+    same for the same arguments."""
+    found = (_example(models, category, (seed, index, APART)) for index in indices)
+    return (example for example in found if example is not None)
 
 
 def _example(models: Sequence[ObjectModel], category: Category, seed: tuple[int, int, int]) -> Example | None:
