@@ -16,7 +16,7 @@ from omad.applications.service.reply import Reply
 
 def test_work_that_fails_is_told_of_in_the_log(capsys):
     async def ask():
-        batcher = Batcher(lambda batch: [][len(batch)], workers=1, batch=8)
+        batcher = Batcher(lambda batch: [][len([*batch])], workers=1, batch=8)
         asked = SimpleNamespace(category="laptop")
         reply = await batcher(asked)  # pyright: ignore[reportArgumentType]
         batcher.close()
@@ -37,6 +37,7 @@ def test_who_is_not_answered_in_time_is_told_so_and_others_go_on():
             pass
 
         def __call__(self, batch):
+            batch = list(batch)
             self.batches.append(len(batch))
             time.sleep(max(float(asked.depth) for asked in batch))
             return [Reply.of(200, {"depth": asked.depth.decode()}) for asked in batch]
@@ -81,6 +82,7 @@ def test_bodies_beyond_what_is_held_are_turned_away():
             pass
 
         def __call__(self, batch):
+            batch = list(batch)
             time.sleep(max(float(asked.depth) for asked in batch))
             return [Reply.of(200, {}) for _ in batch]
 
@@ -112,3 +114,36 @@ def test_bodies_beyond_what_is_held_are_turned_away():
         batcher.close()
 
     asyncio.run(drill())
+
+
+def test_an_answer_waits_for_no_other_of_its_batch_and_who_is_late_is_passed_over():
+    begun = []
+
+    def answer(batch):
+        for asked in batch:
+            begun.append(asked.name)
+            time.sleep(asked.seconds)
+            yield Reply.of(200, {})
+
+    async def ask(batcher, name, seconds, within):
+        asked = SimpleNamespace(category="laptop", name=name, seconds=seconds, size=1)
+        began = time.monotonic()
+        await asyncio.wait_for(batcher(asked), within)
+        return time.monotonic() - began
+
+    async def drill():
+        batcher = Batcher(answer, workers=1, batch=8)
+        first = asyncio.create_task(ask(batcher, "first", 0.1, 5.0))
+        await asyncio.sleep(0.05)  # the others wait together
+        asked = (("quick", 0.1, 5.0), ("slow", 1.0, 5.0), ("late", 0.1, 0.6), ("last", 0.1, 5.0))
+        rest = [asyncio.create_task(ask(batcher, *one)) for one in asked]
+        quick, _, late, _ = await asyncio.gather(*rest, return_exceptions=True)
+        assert await first < 1
+        assert quick < 0.8
+        assert isinstance(late, TimeoutError)
+        await asyncio.sleep(0.1)  # until the worker is free
+        assert (batcher.held, batcher.waiting, batcher.batches) == (0, 0, 2)
+        batcher.close()
+
+    asyncio.run(drill())
+    assert begun == ["first", "quick", "slow", "last"]

@@ -215,11 +215,19 @@ def test_what_is_no_form_is_refused(service):
 
 
 def test_other_addresses_and_methods_are_refused_in_the_words_of_all_errors(service):
-    for method, path, status in (("GET", "/estimate", 405), ("PUT", "/health", 405), ("GET", "/estimates", 404)):
+    for method, path, status in (
+        ("GET", "/estimate", 405), ("PUT", "/health", 405), ("GET", "/estimates", 404), ("POST", "/estimate/", 404),
+    ):  # fmt: skip
         reply = service.ask(method, path)
         assert (reply.status, reply.record.keys()) == (status, {"error"})
         assert reply.headers["content-type"] == "application/json"
         assert "POST /estimate" in reply.record["error"]
+
+
+def test_a_monitor_may_ask_for_the_head_alone(service):
+    for path in ("/health", "/metrics"):
+        reply = service.ask("HEAD", path)
+        assert (reply.status, reply.body) == (200, b"")
 
 
 def test_an_endless_field_keeps_nobody_waiting(service):

@@ -12,6 +12,7 @@ from PIL import Image
 from sequences import SequenceConfig, SequenceFrame, render_sequence
 
 from helpers.headless_browser import HeadlessBrowser
+from helpers.recordings import DEPTH_INFO, PINHOLE, START, write_bag
 from omad.applications.tracking.frames import Clock, frames_from, frames_of, read_times
 from omad.applications.tracking.streams import recorded, taken
 from omad.cli.main import run
@@ -24,9 +25,6 @@ from omad.sensing.foreign.images import depth_from, image_from
 
 K = ["--intrinsics", "600,600,319.5,239.5"]
 GIVEN = ["--category", "laptop", "--json"]
-START = 1_700_000_000_000_000_000
-DEPTH_INFO = "/camera/depth/camera_info"
-PINHOLE = [600, 0, 319.5, 0, 600, 239.5, 0, 0, 1], [0] * 5, [0] * 12
 
 
 @pytest.fixture(scope="module")
@@ -108,60 +106,6 @@ def test_the_page_has_a_slider_for_time(folder, capsys, tmp_path):
         browser.close()
 
 
-def write_bag(
-    path: Path,
-    sequence: list[SequenceFrame],
-    kind: str,
-    late: int = 0,
-    info: str = DEPTH_INFO,
-    camera=PINHOLE,
-    together: int = 1,
-) -> Path:
-    """Depth, its camera (K, D, P) and a mask, as a ROS driver records them: the latter so many nanoseconds ``late``;
-    so many depth images are written ``together``. Half way the driver is started anew."""
-    pytest.importorskip("rosbags", reason="recordings are an extra: pip install 'omad[bags]'")
-    from rosbags.rosbag1 import Writer as Writer1
-    from rosbags.rosbag2 import StoragePlugin
-    from rosbags.rosbag2 import Writer as Writer2
-    from rosbags.typesys import Stores, get_typestore
-
-    first = kind == "bag"
-    store = get_typestore(Stores.ROS1_NOETIC if first else Stores.ROS2_HUMBLE)
-    types = store.types
-    Time, Header = types["builtin_interfaces/msg/Time"], types["std_msgs/msg/Header"]
-    sequence_number = {"seq": 0} if first else {}
-    writer = Writer1(path) if first else Writer2(path, version=9, storage_plugin=StoragePlugin[kind.upper()])
-    with writer:
-        kinds = {"/camera/depth/image_rect_raw": "Image", info: "CameraInfo", "/mask": "Image"}
-        # ROS 1 keeps a connection of each publisher
-        topics = {(name, anew): writer.add_connection(name, f"sensor_msgs/msg/{type}", typestore=store,
-                                                      **({"callerid": f"/{anew}"} if first else {}))
-                  for name, type in kinds.items() for anew in {False, first}}  # fmt: skip
-
-        def send(topic: str, message, stamp: int) -> None:
-            dump = store.serialize_ros1 if first else store.serialize_cdr
-            connection = topics[topic, first and stamp > START + 150_000_000]
-            writer.write(connection, stamp, dump(message, connection.msgtype))
-
-        def image(array: np.ndarray, encoding: str, header):
-            step = array.shape[1] * array.itemsize
-            data = np.ascontiguousarray(array).view(np.uint8).ravel()
-            return types["sensor_msgs/msg/Image"](header, *array.shape, encoding, 0, step, data)
-
-        for index, frame in enumerate(sequence):
-            stamp = START + index * 100_000_000
-            header = Header(**sequence_number, stamp=Time(stamp // 10**9, stamp % 10**9), frame_id="camera")
-            roi = types["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False)
-            K, D, P = (np.array(values, float) for values in camera)
-            values = header, 480, 640, "plumb_bob", D, K, np.eye(3).ravel(), P, 0, 0, roi
-            send(info, types["sensor_msgs/msg/CameraInfo"](*values), stamp + late)
-            send("/mask", image((frame.depth > 0).astype(np.uint8) * 255, "mono8", header), stamp + late)
-            stored = np.rint(frame.depth * 1000).astype(np.uint16)
-            written = START + index // together * together * 100_000_000 + 1000
-            send("/camera/depth/image_rect_raw", image(stored, "16UC1", header), written)
-    return path
-
-
 @pytest.mark.parametrize("kind", ["mcap", "sqlite3", "bag"])
 def test_recordings_are_tracked(kind, sequence, folder, capsys):
     bag = write_bag(Path("recording.bag" if kind == "bag" else "recording"), sequence, kind)
@@ -189,6 +133,15 @@ def test_masks_are_those_of_their_images_however_late_they_were_worked_out(kind,
         assert np.array_equal(frame.mask > 0, own.depth > 0)
         np.testing.assert_allclose(frame.depth, own.depth, rtol=0, atol=1e-3)
         assert frame.camera is not None
+
+
+def test_an_image_without_its_mask_is_named_and_not_searched(sequence, capsys):
+    bag = write_bag(Path("recording"), sequence, "mcap", masks=(0, 1, 3))
+    faults = [str(frame.fault or "") for frame in read_bag(bag, Topics(mask_topic="/mask"))]
+    assert faults == ["", "", "no mask of /mask was taken within 0.05 s of it", ""]
+    assert not any(frame.fault for frame in read_bag(bag, Topics()))
+    assert run(["track", str(bag), *GIVEN, "--mask-topic", "/mask"]) == 2
+    assert "no mask of /mask" in capsys.readouterr().err
 
 
 def test_an_image_of_a_recording_that_cannot_be_read_leaves_the_others(sequence, monkeypatch):
@@ -220,6 +173,16 @@ def test_a_frame_that_is_no_later_than_another_is_named():
     assert ["no later" in str(frame.fault) for frame in found] == [False, False, True, True, False]
 
 
+def test_one_wrong_stamp_costs_one_frame_and_a_pause_none():
+    """A frame an hour ahead of those around it, a pause of an hour, and one that is ahead at the end."""
+    times = (0.0, 0.1, 3600.0, 0.2, 0.3, 3600.3, 3600.4, 9000.0)
+    found = list(taken([RecordedFrame(str(time), time, np.ones((2, 2)), None) for time in times]))
+    assert [frame.time for frame in found] == list(times)
+    assert [str(frame.fault) for frame in found if frame.fault] == [
+        "3600.0: was taken 3600 s later than the frame after it; correct its stamp"
+    ]
+
+
 def test_a_camera_of_another_namespace_is_not_the_images(sequence, capsys):
     bag = write_bag(Path("recording"), sequence[:1], "mcap", info="/camera/color/camera_info")
     assert next(read_bag(str(bag))).camera is None
@@ -244,11 +207,16 @@ def test_intrinsics_take_the_place_of_a_camera_that_nobody_calibrated(sequence, 
     assert tracked(capsys, bag, *K)[1][0]["status"] == "tracking"
 
 
-@pytest.mark.parametrize("option", [("--mask", "."), ("--mask-id", "3"), ("--times", "times.csv")])
+@pytest.mark.parametrize("option", [("--mask", "."), ("--mask-id", "3"), ("--times", "times.csv"), ("--fps", "10")])
 def test_what_holds_for_no_frame_of_a_recording_is_refused(option, sequence, capsys):
     bag = str(write_bag(Path("recording"), sequence[:1], "mcap"))
     assert run(["track", bag, *GIVEN, *option]) == 2
     assert option[0] in capsys.readouterr().err
+
+
+def test_topics_of_frames_that_are_files_are_refused(folder, capsys):
+    assert run(["track", str(folder), *GIVEN, *K, "--mask-topic", "/mask"]) == 2
+    assert "--mask-topic: goes with a recording" in capsys.readouterr().err
 
 
 def test_a_recording_in_another_unit_is_read_with_its_scale_and_ones_own_colours(sequence, capsys):
@@ -372,7 +340,10 @@ def test_names_tell_dates_stamps_and_frames(one, other, seconds):
 def test_a_line_without_a_time_after_lines_with_one_is_told_of_alone():
     frames = list(frames_from(["a_1.png\t1700000000.0", "a_2.png", "a_3.png\t1700000000.5"], Clock(30.0)))
     assert [frame.time for frame in frames if frame.fault is None] == [1700000000.0, 1700000000.5]
-    assert "a_2.png: has no time, as lines before it have" in str(frames[1].fault)
+    assert "a_2.png: has no time, lines before it have one" in str(frames[1].fault)
+    frames = list(frames_from(["a_1.png", "a_2.png\t100", "a_3.png"], Clock(30.0)))
+    assert [frame.fault is None for frame in frames] == [True, False, True]
+    assert "a_2.png: has a time, lines before it have none" in str(frames[1].fault)
 
 
 def test_times_count_from_the_earliest_frame(folder):

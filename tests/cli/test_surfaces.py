@@ -90,10 +90,19 @@ def test_the_bank_must_be_of_the_weights_prior_and_models_want_that_in_their_fol
     save(prior, tmp_path / "other", {})
     made = ["--weights", str(weights), "--source", str(models)]
     said = refused(capsys, "train", "surface", *LAPTOP, *made, "--prior", str(tmp_path / "other"))
-    assert "was made with another prior than these weights" in said
+    assert f"other: is not the prior that {weights} was trained with" in said
     assert not (weights / FILE).exists()
     said = refused(capsys, "index", "build", *LAPTOP, *made, "--output", str(tmp_path / "index"))
     assert "prior: is missing; copy there the folder that omad train prior wrote" in said
+    shutil.copytree(tmp_path / "other", weights / "prior")
+    said = refused(capsys, "index", "build", *LAPTOP, *made, "--output", str(tmp_path / "index"))
+    assert f"prior: is not the prior that {weights} was trained with" in said
+
+
+def test_keypoints_are_those_of_a_prior_or_of_the_one_in_a_checkpoint(capsys):
+    few = ["eval", "keypoints", *LAPTOP, "--objects", "2", "--weights"]
+    folder = find_weights("laptop")
+    assert answer(capsys, *few, str(folder)) == answer(capsys, *few, str(folder / "prior"))
 
 
 def test_an_export_leaves_nothing_of_one_that_it_replaces(tmp_path, capsys):

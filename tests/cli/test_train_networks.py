@@ -1,16 +1,19 @@
 """The trainings of networks on the command line."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from omad.cli.main import run
+from omad.cli.options import check_category
 from omad.cli.training import networks
 from omad.common.errors import InputError
 from omad.model.backbones import BACKBONES, SLIM, BackboneConfig
 from omad.model.checkpoint import save
 from omad.model.omadnet import OmadNet
 from omad.model.prior import OmadPrior
+from omad.objects import category_file
 from omad.objects.category_file import get_category
 
 LAPTOP = get_category("laptop")
@@ -57,6 +60,18 @@ def test_a_word_that_is_a_category_and_a_folder_is_refused(monkeypatch, tmp_path
             networks.TrainNet(category="laptop", output=Path("run"), **{option: "laptop"}).run()
     networks.TrainNet(category="laptop", output=Path("run"), initial="./laptop").run()
     assert asked[0]["initial"].backbone.config == BACKBONES["fine"]
+
+
+def test_limits_of_a_spec_that_the_weights_do_not_know_are_told_of(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    builtin = (category_file.FOLDER / "laptop.toml").read_text()
+    Path("mine.toml").write_text(builtin.replace('"laptop"', '"mine"', 1))
+    own = category_file.read_spec("mine.toml")
+    check_category("--weights", "here", own, "mine.toml")
+    assert capsys.readouterr().err == ""
+    narrow = replace(own, joints=(replace(own.joints[0], limits=(0.0, 1.0)),))
+    check_category("--weights", "here", narrow, "mine.toml")
+    assert "mine.toml: limits changed since --weights here was trained" in capsys.readouterr().err
 
 
 def test_finished_weights_are_not_trained_over(tmp_path):

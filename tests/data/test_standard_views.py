@@ -190,6 +190,7 @@ def test_more_views_can_be_added_but_other_settings_are_refused(models: list[Obj
         ("seed", lambda: render_to_folder(models[:1], CATEGORY, tmp_path / "grown", 3, seed=1)),
         ("noise", lambda: render_to_folder(models[:1], CATEGORY, tmp_path / "grown", 3, noise=ON)),
         ("objects", lambda: render_to_folder(models, CATEGORY, tmp_path / "grown", 3)),
+        ("3 views", lambda: render_to_folder(models[:1], CATEGORY, tmp_path / "grown", 2)),
         (
             models[0].name,
             lambda: render_to_folder([replace(models[1], name=models[0].name)], CATEGORY, tmp_path / "grown", 3),

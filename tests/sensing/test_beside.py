@@ -51,6 +51,24 @@ def test_a_rendered_image_needs_no_options(options, capsys):
     assert answer(capsys, "estimate", str(Path(image).parent), *LAPTOP)["refused"] == []  # labels are no depth images
 
 
+def test_a_folder_of_views_is_one_of_masks_and_no_image_is_its_own_mask(capsys):
+    image, _ = rendered(capsys, "--clutter")
+    folder, lone = Path(image).parent, Path("depth")
+    mask = folder / "00000.mask.png"
+    cut_out = InputReader.of(InputOptions(mask=mask), [Path(image)])(Path(image))
+    for masks in (folder, folder.absolute()):
+        named_alike = InputReader.of(InputOptions(mask=masks), [Path(image)])(Path(image))
+        assert np.array_equal(named_alike.points, cut_out.points)
+    lone.mkdir()
+    shutil.copy(image, lone / "a.png")
+    for options, said in (
+        (["--mask", str(lone)], "no mask for"),
+        (["--color", str(lone)], "no color for"),
+        (["--mask", str(lone / "a.png")], "is the depth image itself; give its mask"),
+    ):
+        assert said in refused(capsys, "estimate", str(lone / "a.png"), *LAPTOP, *K, *options)
+
+
 def test_a_scale_that_contradicts_the_folders_own_is_told_and_named_without_a_mask(capsys):
     image, _ = rendered(capsys)
     assert run(["estimate", image, *LAPTOP, *K, "--depth-scale", "0.001", "--json"]) == 0

@@ -102,8 +102,8 @@ class FigureSweep(_Drawing):
     """One estimated object through its joints' travel, and the shapes that beta spans (plus and minus 2 sigma)."""
 
     source: str = "procedural"
-    """procedural, a folder of URDF / PartNet-Mobility models, an ArtImage root (its test split), or a folder that
-    ``omad render`` made."""
+    """procedural, a generator of your own (.py), a folder of URDF / PartNet-Mobility models, an ArtImage root (its test
+    split), or a folder that ``omad render`` made."""
     seed: Seed = 0
     broken: BrokenFiles = "refuse"
     steps: int = 6

@@ -71,9 +71,9 @@ class IndexBuild(CategoryCommand):
     """The index: one file, written whole or not at all; with --backend disk a folder, which is added to if it is there
     already. What was interrupted goes on when the same command is given again."""
     source: str = "procedural"
-    """procedural; a folder of URDF / PartNet-Mobility models; what ``omad render`` made, or an ArtImage root;
-    or a folder of depth images and clouds (a sub-folder an object, or each file an object). One that cannot be read is
-    named on stderr and under "refused", the others go in, and the exit code is 2."""
+    """procedural; a generator of your own (.py); a folder of URDF / PartNet-Mobility models; what ``omad render`` made,
+    or an ArtImage root; or a folder of depth images and clouds (a sub-folder an object, or each file an object). One
+    that cannot be read is named on stderr and under "refused", the others go in, and the exit code is 2."""
     objects: int = 50
     """Procedural objects (those that no training has seen)."""
     metric: Literal["keypoints", "beta", "whitened"] = "keypoints"

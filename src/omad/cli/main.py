@@ -168,7 +168,7 @@ def check_options(options: Any) -> None:
 
 
 def _interrupted() -> int:
-    said = "bulk estimation, rendering, import and training of networks go on where they were when run again"
+    said = "bulk estimation, rendering, import and training, but of surfaces, go on where they were when run again"
     print(f"omad: interrupted; {said}", file=sys.stderr)
     return exit_code() or 130
 

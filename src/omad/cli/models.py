@@ -117,7 +117,7 @@ class Render:
 
     category: CategoryName
     output: Path
-    """Folder for the views; the same command goes on in it, another one is refused."""
+    """Folder for the views; the same command goes on in it, one for more views adds to it, another is refused."""
     source: str = "procedural"
     """procedural, a generator of your own (.py), which is run, or a folder of URDF / PartNet-Mobility models."""
     objects: int = 20

@@ -14,6 +14,7 @@ import omad
 from omad.common.errors import InputError, shown
 from omad.common.lazy import lazy_imports
 from omad.common.limits import check_limit
+from omad.common.stderr import tell
 from omad.objects.builtin import builtin_names
 
 with lazy_imports():
@@ -21,6 +22,7 @@ with lazy_imports():
 
     from omad.applications.cluster.engines import choose_engine
     from omad.applications.cluster.shards import Plan, Sharded, Work, run_shards
+    from omad.applications.retrieval.signature import prior_fingerprint
     from omad.common.incoming import is_path
     from omad.common.runtime import cores, keep_freed_memory, pick_device
     from omad.data import procedural
@@ -29,6 +31,7 @@ with lazy_imports():
     from omad.evaluation.paper.predictions import data_identity
     from omad.model import checkpoint
     from omad.model.omadnet import OmadNet
+    from omad.model.prior import OmadPrior
     from omad.model.priornet import PriorNet
     from omad.objects.category import Category
     from omad.objects.category_file import is_spec_file, read_spec
@@ -200,14 +203,16 @@ def checkpoints(weights: Path | None, names: Sequence[str] = ()) -> list[Path]:
     folder = weights or checkpoint.WEIGHTS
     if checkpoint.is_checkpoint(folder):
         if names and [*names] != [own := checkpoint.category_of(OmadNet, folder).name]:
-            raise InputError(f"--weights {folder}: is for {own}, not for {', '.join(names)}; change it or --categories")
+            others = ", ".join(name for name in names if name != own)
+            raise InputError(f"--weights {folder}: is for {own}, not for {others}; change it or --categories")
         return [folder]
     names = names or sorted(path.parent.name for path in folder.glob("*/config.json"))
     if not names:
         raise InputError(f"{folder}: no <category>/config.json in it; give a folder with one checkpoint a category")
     for name in names:
         if not checkpoint.is_checkpoint(folder / name):
-            raise InputError(f"{name}: no weights in {folder / name}; see omad info, or give --weights")
+            cure = "put blanks between categories" if "," in name else "see omad info, or give --weights"
+            raise InputError(f"{name}: no weights in {folder / name}; {cure}")
     return [folder / name for name in names]
 
 
@@ -225,11 +230,23 @@ def load_prior(folder: Path, device: str) -> PriorNet:
     return checkpoint.load(PriorNet, folder).to(pick_device(device))
 
 
+def shipped_prior(category: str) -> Path:
+    """The checkpoint folder of a category's. Raises InputError where there is none."""
+    if omad.get_category(category).name not in checkpoint.shipped_categories():
+        cure = "run omad train prior, then give --prior its folder"
+        raise InputError(f"{category} has no shipped prior: {cure}")
+    return checkpoint.find_weights(category) / "prior"
+
+
 def prior_of(weights: Path, device: str) -> PriorNet:
     """The prior's network that lies in the checkpoint folder of other ``weights``. Raises InputError."""
     if not checkpoint.is_checkpoint(folder := weights / "prior"):
         raise InputError(f"{folder}: is missing; copy there the folder that omad train prior wrote for these weights")
-    return load_prior(folder, device)
+    prior, category = load_prior(folder, device), checkpoint.category_of(OmadNet, weights)
+    own = checkpoint.load_part(OmadPrior(category), "prior.", weights)
+    if prior_fingerprint(prior.prior, prior.category) != prior_fingerprint(own, category):
+        raise InputError(f"{folder}: is not the prior that {weights} was trained with; copy that one there")
+    return prior
 
 
 LIMITED = {name: "objects" for name in ("objects", "variants", "strangers", "gallery")}
@@ -272,6 +289,8 @@ def check_category(option: str, folder: Path | str | None, found: Category, want
         raise InputError(f"{option} {folder}: is for {found.name}, not for {name}; change it or --category")
     if spec and _learned(spec) != _learned(found):
         raise InputError(f"{wanted}: parts or joints changed since {option} {folder} was trained; train it anew")
+    if spec and [joint.limits for joint in spec.joints] != [joint.limits for joint in found.joints]:
+        tell(f"omad: {wanted}: limits changed since {option} {folder} was trained; those of the weights count")
 
 
 def _learned(category: Category) -> tuple[Any, ...]:

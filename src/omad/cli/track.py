@@ -35,6 +35,7 @@ with lazy_imports():
     from omad.sensing.foreign.bags import Topics, is_bag
 
 STREAM = Path("-")
+FPS = 30.0
 
 
 @dataclass(frozen=True)
@@ -79,8 +80,8 @@ class Track(CategoryCommand):
     times: Path | None = None
     """CSV with lines name,seconds. Without it, time stamps in the files' names count (10, 13, 16 or 19 digits or a
     decimal point: s, ms, us, ns; or date and time, as 2024-05-01_12-30-05), or frame numbers in them at --fps."""
-    fps: float = 30.0
-    """Frames a second, where neither --times nor names hold the time."""
+    fps: float | None = None
+    """Frames a second, where neither --times nor names hold the time; default: 30."""
     most: int | None = None
     """End after so many frames."""
     fast: Fast = False
@@ -141,8 +142,12 @@ class Track(CategoryCommand):
         if (self.frames is None) == (self.camera is None):
             raise InputError("FRAMES or --camera: give a folder, a recording or -, or a camera to follow")
         timed = self.camera is not None or (self.frames is not None and is_bag(self.frames))
-        if timed and self.times is not None:
-            raise InputError("--times: recordings and cameras tell the times of their frames; leave it out")
+        for option in ("times", "fps"):
+            if timed and getattr(self, option) is not None:
+                raise InputError(f"--{option}: recordings and cameras tell the times of their frames; leave it out")
+        named = [option for option, topic in vars(self.recording).items() if topic is not None]
+        if named and not (self.frames is not None and is_bag(self.frames)):
+            raise InputError(f"--{named[0].replace('_', '-')}: goes with a recording; leave it out")
         if self.camera is not None and self.reading.depth_scale is not None:
             raise InputError("--depth-scale: a camera tells its own; leave it out")
         if self.camera is not None:
@@ -160,7 +165,7 @@ class Track(CategoryCommand):
         return (frame for _, frame in zip(range(self.most), frames, strict=False)) if self.most else frames
 
     def _clock(self) -> Any:
-        return Clock(self.fps, None if self.times is None else read_times(self.times))
+        return Clock(self.fps or FPS, None if self.times is None else read_times(self.times))
 
     def _recorder(self) -> Any:
         if self.live:
@@ -182,7 +187,7 @@ def track_text(answer: dict[str, Any]) -> str:
     lost = len(answer["refused"])
     refused = [f"refused: {lost} frames, named in summary.json"] if lost else []
     file = Path(answer["output"]) / "track.html"
-    page = [f"page: {file}"] if file.is_file() else []
+    page = [f"page: {file}"] if file.is_file() else ["no page: the object was found in no frame"]
     unsure = answer["doubtful"]
     doubtful = [f"doubtful: {unsure} frames, rather wrong than right; states.csv says which"] if unsure else []
     return "\n".join(

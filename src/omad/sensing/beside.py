@@ -62,6 +62,11 @@ class Beside:
         return cls(camera, scale, mask if mask.is_file() else None, color, camera_file, scale_file)
 
 
+def companion(depth: Path, kind: str) -> str:
+    """The stem of a depth image's mask or colour image, say, beside it."""
+    return f"{depth.stem.removesuffix(OF_DEPTH)}.{kind}"
+
+
 def is_companion(file: Path) -> bool:
     """Whether an image belongs to a depth image, by its name, as ``00000.labels.png`` does."""
     return Path(file.stem).suffix.lower() in COMPANIONS

@@ -5,6 +5,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 from typing import Literal, Self
 
@@ -14,7 +15,7 @@ from omad.common.errors import InputError, named, shown
 from omad.common.incoming import is_file
 from omad.geometry.camera import Camera
 
-from .beside import Beside, is_companion, is_picture
+from .beside import Beside, companion, is_companion, is_picture
 from .camera_files import CameraFile, parse_distortion, read_camera, read_transform
 from .colour_mask import ColourCamera
 from .depth_files import (
@@ -88,6 +89,8 @@ class InputReader:
         camera = None if options.intrinsics is None else read_camera(options.intrinsics)
         if frame.distortion is not None:
             parse_distortion(frame.distortion)
+        if mask is not None and os.path.abspath(mask) in map(os.path.abspath, files) and not holds_mask(mask):
+            raise InputError(f"--mask {mask}: is the depth image itself; give its mask")
         masks = mask if mask is None or mask.is_dir() else read_mask(mask, options.mask_id)
         if isinstance(masks, Path):
             check_masks_apart(files, masks)
@@ -132,7 +135,7 @@ class InputReader:
         depth = read_depth(file, self.depth_scale, self.metres_per_integer(beside.depth_scale))
         color, warnings = self.color if self.color is not None else beside.color, list[str]()
         if isinstance(color, Path):
-            color = read_color(_of_its_name(file, color, "colour image", COLOR_FORMATS) if color.is_dir() else color)
+            color = read_color(_of_its_name(file, color, "color", COLOR_FORMATS) if color.is_dir() else color)
         if self.color is None and self.colour is None and color is not None and color.shape[:2] != depth.shape:
             warnings = [f"{beside.color} does not lie on the depth image, and is not shown; give --color-intrinsics"]
             color = None
@@ -257,16 +260,22 @@ def _name(folder: Path) -> str:
     return os.path.basename(os.path.abspath(folder))
 
 
-def _of_its_name(file: Path, folder: Path, what: str, formats: Sequence[str]) -> Path:
-    """That with the input's name, whatever its extension."""
+def _of_its_name(file: Path, folder: Path, kind: str, formats: Sequence[str]) -> Path:
+    """That with the input's name, whatever its extension, or as it is called beside its input; not the input itself,
+    but where it holds its mask."""
     folder = _for_those_in(file.parent, folder)
-    for suffix in formats:  # quicker than to list the folder, where it holds a million
-        if (found := folder / (file.stem + suffix)).is_file():
+    stems = file.stem, companion(file, kind)
+    for stem, suffix in product(stems, formats):  # quicker than to list the folder, where it holds a million
+        if (found := folder / (stem + suffix)).is_file() and _serves(found, file, kind):
             return found
-    found = sorted(each for each in folder.iterdir() if each.stem == file.stem)
+    found = sorted(each for each in folder.iterdir() if each.stem in stems and _serves(each, file, kind))
     if not found:
-        raise InputError(f"{folder}: no {what} for {file} in it; name them like the inputs")
+        raise InputError(f"{folder}: no {kind} for {file} in it; name them like the inputs")
     return found[0]
+
+
+def _serves(found: Path, file: Path, kind: str) -> bool:
+    return not found.samefile(file) or (kind == "mask" and holds_mask(file))
 
 
 def _colour_camera(frame: CameraOptions, region: bool) -> ColourCamera | None:

@@ -2,7 +2,7 @@
 
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -20,7 +20,9 @@ from .asked import Asked, in_fields
 from .reply import Reply
 
 PIXELS = 20_000_000
-"""Of images that are held at a time, but for the last one."""
+"""Of images that are held at a time, but for the last one ..."""
+SECONDS = 0.5
+"""... and that it takes to read them, but for the last: to find an object in its image may take seconds."""
 
 
 @dataclass(frozen=True)
@@ -63,32 +65,32 @@ class Answers:
                 f"category {shown(repr(asked.category))}: not served; choose of {', '.join(self._solvers)}"
             )
 
-    def __call__(self, batch: Sequence[Asked]) -> list[Reply]:
-        """For each of a batch that asks for one category; nothing that is in one of them touches the others."""
-        solver = self._solvers[batch[0].category]
-        return [reply for some in _few(batch, solver) for reply in _replies(some, solver)]
+    def __call__(self, batch: Iterable[Asked]) -> Iterator[Reply]:
+        """For each of a batch that asks for one category, as they are made; nothing that is in one of them touches the
+        others."""
+        for some in self._few(batch):
+            yield from _replies(some, self._solvers[some[0].asked.category])
 
-
-def _few(batch: Sequence[Asked], solver: Solver) -> Iterator[list[_Read]]:
-    """Read, so many at a time as may be held together."""
-    held: list[_Read] = []
-    for asked in batch:
-        held.append(_Read.of(asked, solver))
-        if sum(each.pixels for each in held) >= PIXELS:
+    def _few(self, batch: Iterable[Asked]) -> Iterator[list[_Read]]:
+        """Read, so many at a time as may be held, and wait, together."""
+        held: list[_Read] = []
+        for asked in batch:
+            held.append(_Read.of(asked, self._solvers[asked.category]))
+            if sum(each.pixels for each in held) >= PIXELS or sum(each.seconds for each in held) >= SECONDS:
+                yield held
+                held = []
+        if held:
             yield held
-            held = []
-    if held:
-        yield held
 
 
-def _replies(read: list[_Read], solver: Solver) -> list[Reply]:
+def _replies(read: list[_Read], solver: Solver) -> Iterator[Reply]:
     if solver.chosen is None:
-        found = [attempt(partial(_of_any, each, solver)) for each in read]
+        found = (attempt(partial(_of_any, each, solver)) for each in read)
     else:
         estimates = estimates_of(solver.chosen, [each.view for each in read])
         rows = zip(read, estimates, strict=True)
-        found = [attempt(partial(_judged, each, estimate, solver)) for each, estimate in rows]
-    return [_reply(each, answer) for each, answer in zip(read, found, strict=True)]
+        found = (attempt(partial(_judged, each, estimate, solver)) for each, estimate in rows)
+    return (_reply(each, answer) for each, answer in zip(read, found, strict=True))
 
 
 def _of_any(read: _Read, solver: Solver) -> Found:

@@ -45,7 +45,9 @@ _SAYS = {
 def make_app(service: Service) -> FastAPI:
     """The application for a server. Its description is at /openapi.json."""
     about = "Shape, pose, joint states and joint axes of articulated objects. Metres, radians, camera frame."
-    app = FastAPI(title="OMAD", version=omad.__version__, description=about, docs_url=None, redoc_url=None)
+    app = FastAPI(
+        title="OMAD", version=omad.__version__, description=about, docs_url=None, redoc_url=None, redirect_slashes=False
+    )
     body = {"requestBody": {"required": True, "content": {"multipart/form-data": _FORM}}}
     said: dict[int | str, dict[str, Any]] = {status: {"description": what} for status, what in _SAYS.items()}
 
@@ -63,11 +65,13 @@ def make_app(service: Service) -> FastAPI:
         return Response(reply.body, reply.status, retry, reply.media_type)
 
     @app.get("/health")
+    @app.head("/health", include_in_schema=False)
     async def health() -> dict[str, object]:
         """That it answers, and with what."""
         return {"status": "ok", "version": omad.__version__, "categories": service.answers.categories}
 
     @app.get("/metrics")
+    @app.head("/metrics", include_in_schema=False)
     async def metrics() -> Response:
         """Counts, for Prometheus."""
         batcher = service.batcher

@@ -1,12 +1,13 @@
 """Requests wait for a free worker; those that wait for the same category are answered together.
 
-Nothing waits for a batch to fill: a worker that is free takes its share of what is there.
+Nothing waits for a batch to fill: a worker that is free takes its share of what is there. An answer goes out when it is
+made, though others of its batch are not.
 """
 
 import asyncio
 import sys
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
@@ -29,8 +30,9 @@ class _Waiting:
 class Batcher:
     """For one event loop."""
 
-    def __init__(self, answer: Callable[[Sequence[Asked]], list[Reply]], workers: int, batch: int) -> None:
-        """``answer`` is called in one of ``workers`` threads, with up to ``batch`` requests of one category."""
+    def __init__(self, answer: Callable[[Iterator[Asked]], Iterable[Reply]], workers: int, batch: int) -> None:
+        """``answer`` is called in one of ``workers`` threads, with up to ``batch`` requests of one category: those that
+        somebody still waits for when it comes to them. It answers them in their order."""
         self._answer, self._batch, self._idle = answer, batch, workers
         self._waiting: deque[_Waiting] = deque()
         self._taken: set[_Waiting] = set()
@@ -74,19 +76,31 @@ class Batcher:
             self._taken.update(taken)
             self._idle -= 1
             self.batches += 1
-            work = loop.run_in_executor(self._pool, self._answer, [each.asked for each in taken])
+            work = loop.run_in_executor(self._pool, self._work, taken, loop)
             work.add_done_callback(partial(self._done, taken))
 
-    def _done(self, taken: list[_Waiting], work: asyncio.Future[list[Reply]]) -> None:
+    def _work(self, taken: list[_Waiting], loop: asyncio.AbstractEventLoop) -> None:
+        """In a worker's thread."""
+        begun = deque[_Waiting]()
+
+        def wanted() -> Iterator[Asked]:
+            for each in taken:
+                if not each.reply.done():
+                    begun.append(each)
+                    yield each.asked
+
+        for reply in self._answer(wanted()):
+            loop.call_soon_threadsafe(self._give, begun.popleft(), reply)
+
+    def _give(self, one: _Waiting, reply: Reply) -> None:
+        self._taken.discard(one)
+        if not one.reply.done():
+            one.reply.set_result(reply)
+
+    def _done(self, taken: list[_Waiting], work: asyncio.Future[None]) -> None:
         self._idle += 1
-        self._taken.difference_update(taken)
-        if work.cancelled() or work.exception() is not None:
-            if not work.cancelled():
-                print_exception(work.exception(), file=sys.stderr)
-            replies = [Reply.failed(500, "the work failed")] * len(taken)
-        else:
-            replies = work.result()
-        for each, reply in zip(taken, replies, strict=True):
-            if not each.reply.done():
-                each.reply.set_result(reply)
+        if not work.cancelled() and work.exception() is not None:
+            print_exception(work.exception(), file=sys.stderr)
+        for each in taken:
+            self._give(each, Reply.failed(500, "the work failed"))  # where it has no answer
         self._hand_out()

@@ -109,18 +109,19 @@ def frames_of(folder: Path, clock: Clock) -> list[FrameFile]:
 
 
 def frames_from(lines: Iterable[str], clock: Clock) -> Iterator[FrameFile]:
-    """Frames named one a line; after a tab a line may hold the time in seconds. One without a time that can be told has
-    a ``fault``: the others go on."""
-    timed = False
+    """Frames named one a line; after a tab a line may hold the time in seconds. One without a time that can be told, or
+    with one of another clock than that of the first, has a ``fault``: the others go on."""
+    timed: bool | None = None
     for line in lines:
         name, _, told = line.rstrip("\r\n").partition("\t")
         if not name:
             continue
         try:
-            if timed and not told:
-                raise InputError(f"{shown(name)}: has no time, as lines before it have; give each one or none")
+            if timed is not None and timed != bool(told):
+                has, have = ("a time", "none") if told else ("no time", "one")
+                raise InputError(f"{shown(name)}: has {has}, lines before it have {have}; give each one or none")
             yield FrameFile(Path(name), _told_seconds(name, told) if told else clock(Path(name)))
-            timed |= bool(told)
+            timed = bool(told)
         except InputError as error:
             yield FrameFile(Path(name), math.nan, fault=error)
 

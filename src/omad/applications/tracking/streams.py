@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,9 @@ from omad.sensing.observation import Observation
 from omad.sensing.reader import INTRINSICS, Find, InputReader
 
 from .frames import FrameFile
+
+AHEAD = 60.0
+"""Seconds without a frame after which it takes a second one to say that they have passed."""
 
 
 @dataclass
@@ -74,13 +78,29 @@ def recorded(path: Path, topics: Topics, with_cameras: bool = True) -> Iterator[
 
 
 def taken(frames: Iterable[RecordedFrame]) -> Iterator[FrameFile]:
-    """Frames as they come; times count from the first one, and one that is no later than another before it has that for
-    a fault."""
-    first, last = None, -1.0
-    for frame in frames:
+    """Frames as they come; times count from the first one. One that is no later than another before it has that for a
+    fault, and so has one far ``AHEAD`` of those before and after it, which are in order."""
+    first = last = ahead = None
+
+    def file(frame: RecordedFrame, wrong: str = "") -> FrameFile:
+        fault = InputError(f"{frame.name}: was taken {wrong}") if wrong else frame.fault
+        return FrameFile(Path(frame.name), frame.time - (first or 0.0), frame, fault)
+
+    for frame in chain(frames, [None]):
+        if ahead is not None:
+            if frame is not None and frame.time < ahead.time:
+                yield file(ahead, f"{ahead.time - frame.time:.0f} s later than the frame after it; correct its stamp")
+            else:
+                last = ahead.time
+                yield file(ahead)
+            ahead = None
+        if frame is None:
+            return
         first = frame.time if first is None else first
-        time, fault = frame.time - first, frame.fault
-        if time <= last:
-            fault = InputError(f"{frame.name}: was taken no later than a frame before it; sort the recording by time")
-        last = max(last, time)
-        yield FrameFile(Path(frame.name), time, frame, fault)
+        if last is not None and frame.time > last + AHEAD:
+            ahead = frame
+        elif last is not None and frame.time <= last:
+            yield file(frame, "no later than a frame before it; sort the recording by time")
+        else:
+            last = frame.time
+            yield file(frame)

@@ -16,7 +16,7 @@ with lazy_imports():
     from omad.common.runtime import pick_device
     from omad.evaluation.keypoint_spread import keypoint_spread
     from omad.evaluation.view_agreement import compare_views
-    from omad.model.checkpoint import find_weights, load
+    from omad.model.checkpoint import find_weights, is_checkpoint, load
     from omad.model.omadnet import OmadNet
 
 
@@ -25,12 +25,13 @@ class EvalKeypoints(CategoryCommand):
     """Show that keypoints correspond: how far each one's place in its part wanders between unseen objects."""
 
     weights: Path | None = None
-    """Prior checkpoint folder in place of the shipped one."""
+    """Checkpoint folder of a prior, or with prior/ in it, in place of the shipped one."""
     data: OmitArgPrefixes[Models] = Models(objects=100)
 
     def run(self) -> Answer:
         check_positive(objects=self.data.objects)
-        net = load_prior(self.weights or find_weights(self.category) / "prior", self.device)
+        folder = self.weights or find_weights(self.category)
+        net = (prior_of if is_checkpoint(folder / "prior") else load_prior)(folder, self.device)
         self.check_weights(net.category)
         return Answer(asdict(keypoint_spread(net, self.data.load(net.category).models)))
 

@@ -30,8 +30,9 @@ class SpoiltViews(Models):
     """The views to spoil."""
 
     source: str = "procedural"
-    """procedural, a folder of URDF / PartNet-Mobility models, what ``omad render`` made, or a folder of the same
-    layout with depth frames of your own; of images, rows that need another viewpoint or camera are left out."""
+    """procedural, a generator of your own (.py), a folder of URDF / PartNet-Mobility models, what ``omad render`` made,
+    or a folder of the same layout with depth frames of your own; of images, rows that need another viewpoint or camera
+    are left out."""
     objects: int = 200
     """Procedural objects a category, at most as many as views: those of one object err alike."""
     views: int = 60

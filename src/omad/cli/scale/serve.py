@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import importlib.util
-import sys
 from dataclasses import dataclass
 
 from omad.common.errors import InputError
 from omad.common.lazy import lazy_imports
+from omad.common.stderr import tell
 
 from ..answer import Answer
 from ..explore import LOCAL, free_port
@@ -57,6 +57,7 @@ class Serve(CategoriesCommand):
             raise InputError(f"omad serve needs {missing[0]}; pip install 'omad[serve]'")
         port = free_port(self.host, self.port)
         url = f"http://{self.host}:{port}"
+        tell("omad: loading weights")
         answers = Answers([estimator for _, estimator in self.estimators()])
         free_port(self.host, port)  # still: loading took seconds, in which another program may have come
         set_num_threads(1)  # its threads are the workers
@@ -71,4 +72,4 @@ class Serve(CategoriesCommand):
 
 
 def _greet(url: str) -> None:
-    print(f"omad: {url} (Ctrl-C ends it)", file=sys.stderr, flush=True)
+    tell(f"omad: {url} (Ctrl-C ends it)")

@@ -15,9 +15,20 @@ from omad.common.lazy import lazy_imports
 from omad.common.stderr import tell
 
 from ..answer import Answer, table
-from ..options import CategoryCommand, CategoryName, Device, Json, Seed, check_category, check_positive, use_threads
+from ..options import (
+    CategoryCommand,
+    CategoryName,
+    Device,
+    Json,
+    Seed,
+    check_category,
+    check_positive,
+    shipped_prior,
+    use_threads,
+)
 
 with lazy_imports():
+    from omad.applications.retrieval.signature import prior_fingerprint
     from omad.common.incoming import address_of
     from omad.common.runtime import pick_device
     from omad.data.source import is_generated, load_models
@@ -77,13 +88,14 @@ class TrainSurface:
         use_threads(self.threads)
         folder = find_weights(self.weights or self.category)
         own = folder / "prior"
-        shipped = self.prior or (own if own.is_dir() else find_weights(self.category) / "prior")
-        net = load(PriorNet, shipped).to(pick_device(self.device))
-        check_category("--prior", shipped, net.category, self.category)
+        prior = self.prior or (own if own.is_dir() else shipped_prior(self.category))
+        net = load(PriorNet, prior).to(pick_device(self.device))
+        check_category("--prior", prior, net.category, self.category)
+        estimator = omad.Estimator.from_pretrained(folder)
+        if prior_fingerprint(net.prior, net.category) != prior_fingerprint(estimator.net.prior, estimator.category):
+            raise InputError(f"{prior}: is not the prior that {folder} was trained with; give that one with --prior")
         models = load_models(self.source, net.category, self.objects, "train", 0).models
         bank = surface_bank(net, models, generated=self.source == "procedural")
-        estimator = omad.Estimator.from_pretrained(folder)
-        bank.check_prior(estimator.net.prior, folder / banks.FILE)
         _check_folder_of(self.weights, folder, banks.FILE)
         unseen = self.unseen or (self.source if is_generated(self.source) else None)
         record = dict.fromkeys(("shares", "errors", "views", "follows"))

@@ -23,6 +23,7 @@ from ..options import (
     check_category,
     check_positive,
     load_prior,
+    shipped_prior,
 )
 from .schedule import ScheduleOptions
 
@@ -43,7 +44,6 @@ with lazy_imports():
         load,
         meant_weights,
         save,
-        shipped_categories,
         training_record,
     )
     from omad.model.omadnet import OmadNet
@@ -238,9 +238,6 @@ class TrainNet(_NetTraining):
         return record | begun_with("features", self.features, OmadNet)
 
     def _prior(self) -> PriorNet:
-        if self.prior is None and omad.get_category(self.category).name not in shipped_categories():
-            cure = "run omad train prior, then give --prior its folder"
-            raise InputError(f"{self.category} has no shipped prior: {cure}")
-        prior = load(PriorNet, self.prior or find_weights(self.category) / "prior")
+        prior = load(PriorNet, self.prior or shipped_prior(self.category))
         check_category("--prior", self.prior, prior.category, self.category)
         return prior

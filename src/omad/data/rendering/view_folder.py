@@ -189,7 +189,7 @@ def render_to_folder(
 ) -> ViewFolder:
     """Write ``views`` standard views of the models, or with ``clutter`` scenes spoilt at random, which have their own
     noise; what is already there from the same arguments is kept. Raises InputError for a folder made with other
-    arguments (only ``views`` may differ) and for unfit model names."""
+    arguments (only ``views`` may be more) and for unfit model names."""
     path = Path(folder)
     names = [model.name for model in models]
     if not names or len(set(names)) < len(names):
@@ -204,7 +204,10 @@ def render_to_folder(
     truths = {path / model.name / "object.json": _truth_record(model) for model in models[:views]}
     if dataset.exists():  # views of other settings or other models are not mixed
         usual = {"clutter": False, "viewpoints": record["viewpoints"]}
-        refuse_others(path, {**usual, **_read_json(dataset)}, record | {"clutter": clutter})
+        before = _read_json(dataset)
+        refuse_others(path, {**usual, **before}, record | {"clutter": clutter})
+        if (kept := before.get("views")) and kept > views:
+            raise InputError(f"{path}: was made for {kept} views, which are more; give as many, or another folder")
         for file, truth in truths.items():
             # earlier versions did not write all of it
             if file.exists() and not _read_json(file).items() <= truth.items():
@@ -320,7 +323,7 @@ def refuse_others(path: Path, before: dict[str, Any], record: dict[str, Any]) ->
     """Raises InputError where what was written ``before`` differs from ``record`` in one of its keys."""
     for key, value in record.items():
         if before.get(key) != value:
-            raise InputError(f"{path}: already holds another {key}; choose another folder or delete it")
+            raise InputError(f"{path}: was made with other {key}; choose another folder, or delete it")
 
 
 def _truth_record(model: ObjectModel) -> dict[str, Any]:

@@ -183,6 +183,8 @@ def _frames(reader: Any, chosen: _Chosen) -> Iterator[RecordedFrame]:
         name, time = str(frame.stamp), frame.taken
         try:
             with_it: dict[str, Any] = {kind: _nearest(images, frame.taken) for kind, images in beside.items()}
+            if chosen.mask and with_it["mask"] is None:  # without one, another object might be followed
+                raise InputError(f"no mask of {chosen.mask[0].topic} was taken within {WITHIN:g} s of it")
             seen = depth_from(frame.message)
             return RecordedFrame(name, time, seen.depth, own, **with_it, in_millimetres=seen.in_millimetres)
         except InputError as error:
