@@ -135,6 +135,12 @@ def test_masks_are_those_of_their_images_however_late_they_were_worked_out(kind,
         assert frame.camera is not None
 
 
+def test_a_recording_without_images_of_depth_is_refused(sequence, capsys):
+    write_bag(Path("recording"), sequence[:0], "mcap")
+    assert run(["track", "recording", *GIVEN]) == 2
+    assert "topic /camera/depth/image_rect_raw has no images" in capsys.readouterr().err
+
+
 def test_an_image_without_its_mask_is_named_and_not_searched(sequence, capsys):
     bag = write_bag(Path("recording"), sequence, "mcap", masks=(0, 1, 3))
     faults = [str(frame.fault or "") for frame in read_bag(bag, Topics(mask_topic="/mask"))]

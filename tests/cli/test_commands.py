@@ -297,7 +297,7 @@ def test_an_interrupted_rendering_goes_on_and_can_be_evaluated(capsys, monkeypat
     evaluated = answer(capsys, "eval", "pose", *LAPTOP, "--source", "views")
     assert (evaluated["views"], evaluated["objects"], evaluated["depth_noise"]) == (5, 2, True)
     assert run([*render, "views", "--seed", "1"]) == 2
-    assert "another seed" in capsys.readouterr().err
+    assert "other seed" in capsys.readouterr().err
     answer(capsys, *render, "views", "--views", "6")  # more of the same is no other setting
 
 

@@ -10,7 +10,7 @@ from omad.cli.options import check_category
 from omad.cli.training import networks
 from omad.common.errors import InputError
 from omad.model.backbones import BACKBONES, SLIM, BackboneConfig
-from omad.model.checkpoint import save
+from omad.model.checkpoint import STATE, save
 from omad.model.omadnet import OmadNet
 from omad.model.prior import OmadPrior
 from omad.objects import category_file
@@ -23,7 +23,7 @@ LAPTOP = get_category("laptop")
 @pytest.mark.parametrize(("size", "points"), [(None, 512), ("fine", 1024), ("paper", 1024)])
 def test_views_have_as_many_points_as_the_backbone_is_shown(monkeypatch, command, size, points):
     asked = []
-    monkeypatch.setattr(networks._Training, "learn", lambda self, train, settings, **given: asked.append(settings))
+    monkeypatch.setattr(networks._Training, "learn", lambda self, net, train, settings, **given: asked.append(settings))
     command(category="laptop", output=Path("run"), size=size).run()
     assert isinstance(asked[0].backbone, BackboneConfig)  # no stand-in for one: a checkpoint's record copies it
     assert asked[0].views.points == asked[0].backbone.points == points
@@ -40,7 +40,7 @@ def test_the_help_tells_how_long_a_training_goes_on(capsys):
 
 def test_training_goes_on_at_the_size_that_was_begun_unless_another_is_asked_for(monkeypatch, tmp_path):
     asked = []
-    monkeypatch.setattr(networks._Training, "learn", lambda self, train, settings, **given: asked.append(settings))
+    monkeypatch.setattr(networks._Training, "learn", lambda self, net, train, settings, **given: asked.append(settings))
     save(OmadNet(LAPTOP, OmadPrior(LAPTOP), BACKBONES["fine"]), tmp_path / "fine", {})
     fine = {"category": "laptop", "output": Path("run"), "initial": str(tmp_path / "fine")}
     networks.TrainNet(**fine).run()
@@ -52,7 +52,7 @@ def test_training_goes_on_at_the_size_that_was_begun_unless_another_is_asked_for
 
 def test_a_word_that_is_a_category_and_a_folder_is_refused(monkeypatch, tmp_path):
     asked = []
-    monkeypatch.setattr(networks._Training, "learn", lambda self, train, settings, **given: asked.append(given))
+    monkeypatch.setattr(networks._Training, "learn", lambda self, net, train, settings, **given: asked.append(given))
     monkeypatch.chdir(tmp_path)
     save(OmadNet(LAPTOP, OmadPrior(LAPTOP), BACKBONES["fine"]), Path("laptop"), {})
     for option in ("initial", "features"):
@@ -80,6 +80,16 @@ def test_finished_weights_are_not_trained_over(tmp_path):
     with pytest.raises(InputError, match="holds finished weights, no training to go on with"):
         networks.TrainNet(category="laptop", output=tmp_path, initial=str(tmp_path)).run()
     assert (tmp_path / "model.safetensors").read_bytes() == before
+
+
+def test_a_folder_of_another_training_is_refused_before_any_object_is_made(monkeypatch, tmp_path):
+    monkeypatch.setattr(networks, "load_objects", None)
+    save(OmadNet(LAPTOP, OmadPrior(LAPTOP), BACKBONES["fine"]), tmp_path, {})
+    (tmp_path / STATE).touch()
+    with pytest.raises(InputError, match="holds a 'net' where a 'prior' is needed"):
+        networks.TrainPrior(category="laptop", output=tmp_path).run()
+    with pytest.raises(InputError, match=r"--output .* is for laptop, not for scissors"):
+        networks.TrainNet(category="scissors", output=tmp_path).run()
 
 
 @pytest.mark.parametrize("weight", [-1.0, float("nan"), float("inf")])

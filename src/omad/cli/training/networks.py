@@ -32,8 +32,9 @@ with lazy_imports():
     from omad.data.clutter.settings import Clutter
     from omad.data.source import load_objects
     from omad.data.training_views import ViewSettings
+    from omad.evaluation.baselines.ancsh.net import AncshNet
     from omad.evaluation.baselines.ancsh.training import AncshTraining, train_ancsh
-    from omad.evaluation.baselines.siamese import SiameseTraining, train_siamese
+    from omad.evaluation.baselines.siamese import SiameseNet, SiameseTraining, train_siamese
     from omad.model import checkpoint
     from omad.model.backbones import BackboneConfig, get_backbone
     from omad.model.checkpoint import (
@@ -95,14 +96,18 @@ class _Training:
     several: OmitArgPrefixes[SeveralProcesses] = SeveralProcesses()
     json: Json = False
 
-    def learn(self, train: Callable[..., Network], preset: Any, **begun: Any) -> Answer:
-        """Train with the ``preset``, but for what the options say otherwise, and save it. Raises InputError."""
+    def learn(self, network: type[Network], train: Callable[..., Network], preset: Any, **begun: Any) -> Answer:
+        """Train a ``network`` with the ``preset``, but for what the options say otherwise, and save it. Raises
+        InputError."""
         if self.variants < 0:
             raise InputError(f"--variants: must be 0 or more, got {self.variants}")
         check_positive(objects=self.objects, variants=self.variants or None)
         check_folder(self.output)
-        if is_checkpoint(self.output) and not (self.output / checkpoint.STATE).is_file():
-            raise InputError(f"{self.output}: holds finished weights, no training to go on with; give another --output")
+        if is_checkpoint(self.output):
+            check_category("--output", self.output, category_of(network, self.output), self.category)
+            if not (self.output / checkpoint.STATE).is_file():
+                cure = "give another --output"
+                raise InputError(f"{self.output}: holds finished weights, no training to go on with; {cure}")
         schedule = self.schedule.of(preset.schedule)
         processes = self.several.start()
         with processes.heard():
@@ -132,7 +137,7 @@ class TrainPrior(_Training):
         initial = None if self.initial is None else load_prior(self.initial, "cpu")
         if initial is not None:
             check_category("--initial", self.initial, initial.category, self.category)
-        return self.learn(train_prior, PriorTraining(), initial=initial)
+        return self.learn(PriorNet, train_prior, PriorTraining(), initial=initial)
 
     def record(self, schedule: Schedule) -> dict[str, Any]:
         return super().record(schedule) | begun_with("initial", self.initial, PriorNet)
@@ -165,11 +170,12 @@ class _NetTraining(_Training):
         return net
 
     def learn_baseline(
-        self, train: Callable[..., Network], settings: type[AncshTraining] | type[SiameseTraining]
-    ) -> Answer:
+        self, network: type[Network], train: Callable[..., Network],
+        settings: type[AncshTraining] | type[SiameseTraining],
+    ) -> Answer:  # fmt: skip
         start = self.load_start("--initial", self.initial)
         backbone = self.backbone(start)
-        return self.learn(train, settings(backbone=backbone, views=self.views(backbone)), initial=start)
+        return self.learn(network, train, settings(backbone=backbone, views=self.views(backbone)), initial=start)
 
     def record(self, schedule: Schedule) -> dict[str, Any]:
         return super().record(schedule) | begun_with("initial", self.initial, OmadNet)
@@ -188,7 +194,7 @@ class TrainAncsh(_NetTraining):
     """Train the baseline A-NCSH as OMADNet is trained: same views, backbone and schedule, but no prior."""
 
     def run(self) -> Answer:
-        return self.learn_baseline(train_ancsh, AncshTraining)
+        return self.learn_baseline(AncshNet, train_ancsh, AncshTraining)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -196,7 +202,7 @@ class TrainSiamese(_NetTraining):
     """Train the Siamese baseline of retrieval: same views, backbone and schedule as OMADNet, but no prior."""
 
     def run(self) -> Answer:
-        return self.learn_baseline(train_siamese, SiameseTraining)
+        return self.learn_baseline(SiameseNet, train_siamese, SiameseTraining)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -231,7 +237,7 @@ class TrainNet(_NetTraining):
         backbone, weights = self.backbone(start or begun), NetLossWeights(refinement=self.refinement_loss)
         views = self.views(backbone, Clutter() if self.clutter else None)
         preset = NetTraining(backbone=backbone, weights=weights, attention=self.attention, views=views)
-        return self.learn(train_net, preset, priornet=self._prior(), initial=start, features=begun)
+        return self.learn(OmadNet, train_net, preset, priornet=self._prior(), initial=start, features=begun)
 
     def record(self, schedule: Schedule) -> dict[str, Any]:
         record = super().record(schedule) | {"refinement_loss": self.refinement_loss, "clutter": self.clutter}

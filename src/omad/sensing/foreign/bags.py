@@ -89,7 +89,11 @@ def read_bag(path: str | Path, topics: Topics = Topics(), with_cameras: bool = T
     cure = "export it again, or mend it (mcap recover, ros2 bag reindex)"
     with readable(path, "a recording", cure), highlevel.AnyReader([path], default_typestore=store) as reader:
         chosen = _chosen(reader, topics, path)
-        yield from _frames(reader, chosen if with_cameras else replace(chosen, info=[]))
+        frame = None
+        for frame in _frames(reader, chosen if with_cameras else replace(chosen, info=[])):
+            yield frame
+        if frame is None:
+            raise InputError(f"{path}: topic {chosen.depth[0].topic} has no images; name another with --depth-topic")
 
 
 @dataclass(frozen=True)
