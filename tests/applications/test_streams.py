@@ -58,6 +58,13 @@ def test_a_sure_first_frame_is_tracked(folder, capsys):
     assert [line["status"] for line in lines] == ["tracking"] * 4
 
 
+def test_where_nothing_is_followed_a_wrong_gravity_may_be_why(folder, sequence, capsys):
+    x, y, z = -sequence[0].T_camera_base[:3, 1]
+    for gravity, told in ((f"{x},{y},{z}", False), ("1,0,0", True)):
+        run(["track", str(folder), *K, *GIVEN, f"--gravity={gravity}"])
+        assert ("with a wrong one nothing is followed" in capsys.readouterr().err) == told
+
+
 def test_options_of_one_image_hold_for_tracks(folder, sequence, capsys):
     Path("world").mkdir()
     up = sequence[0].T_camera_base[:3, 1]

@@ -358,7 +358,9 @@ def test_a_page_is_named_where_there_is_one(folder, capsys):
     for path in folder.iterdir():
         Image.new("I;16", (640, 480)).save(path)
     assert run(["track", str(folder), "--most", "1", *GIVEN[:-1]]) == 1
-    assert "page:" not in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "page:" not in said
+    assert "followed in no frame" in said
 
 
 @pytest.mark.parametrize(

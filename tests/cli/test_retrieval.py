@@ -326,9 +326,12 @@ def test_a_catalogue_on_disk_is_built_added_to_merged_and_asked(capsys):
     save_png("frames/other.png")
     made = answer(capsys, *on_disk, "--source", "frames", *K)
     assert (made["entries"], made["refused"]) == (5, [])  # two files show one object
+    Path("link").symlink_to(".")
+    assert answer(capsys, *on_disk, "--source", "link/frames", *K)["entries"] == 5  # the same folder
     build(capsys, "--objects", "4")
     merged = answer(capsys, "index", "merge", "large", "index.npz", "--output", "all")
     assert merged["entries"] == 9
+    assert answer(capsys, "index", "merge", "link/large", "link/index.npz", "--output", "all")["entries"] == 9
     assert "leave it out" in refused(capsys, "index", "merge", "large", "all", "--output", "./all")
     assert answer(capsys, *on_disk, "--source", "unusual", "--objects", "2")["entries"] == 7
     assert answer(capsys, *on_disk, "--source", "unusual", "--objects", "2", "--seed", "7")["entries"] == 9

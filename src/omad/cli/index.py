@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import sys
 from collections.abc import Iterator
@@ -28,7 +29,6 @@ from .options import (
     Seed,
     Weights,
     check_positive,
-    everywhere,
     prior_of,
 )
 
@@ -69,7 +69,7 @@ class IndexBuild(CategoryCommand):
 
     output: Path
     """The index: one file, written whole or not at all; with --backend disk a folder, which is added to if it is there
-    already. What was interrupted goes on when the same command is given again."""
+    already, and goes on when the same command is given again after one that was interrupted."""
     source: str = "procedural"
     """procedural; a generator of your own (.py); a folder of URDF / PartNet-Mobility models; what ``omad render`` made,
     or an ArtImage root; or a folder of depth images and clouds (a sub-folder an object, or each file an object). One
@@ -110,7 +110,8 @@ class IndexBuild(CategoryCommand):
     def _on_disk(self, estimator: omad.Estimator, space: Space) -> Answer:
         index, refused, doubtful = LargeIndex.create(self.output, space), list[dict[str, str]](), list[dict[str, Any]]()
         made = self.source in NAMES or not Path(self.source).is_dir()  # by a generator
-        source = f"{everywhere(self.source)} {self.seed}" if made else everywhere(self.source)
+        there = self.source if self.source in NAMES else os.path.realpath(self.source)  # however it is spelled
+        source = f"{there} {self.seed}" if made else there
         files, models, names, read = self._files, list[ObjectModel](), list[str](), ""
         views = self._views(estimator.category, index.taken(source))
         if views is not None:
@@ -243,7 +244,7 @@ class IndexMerge:
             space.check_same(open_index(path).space, path, self.indices[0])
         into = LargeIndex.create(self.output, space)
         for path in self.indices:
-            into.merge(open_index(path), str(path.absolute()))
+            into.merge(open_index(path), str(path.resolve()))  # however it is spelled
         return Answer({"index": str(self.output), "merged": [*map(str, self.indices)], "entries": len(into)})
 
 

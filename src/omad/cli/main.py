@@ -168,8 +168,8 @@ def check_options(options: Any) -> None:
 
 
 def _interrupted() -> int:
-    said = "bulk estimation, rendering, import and training, but of surfaces, go on where they were when run again"
-    print(f"omad: interrupted; {said}", file=sys.stderr)
+    resumed = "bulk, render, import, train (but surface), eval retrieval and catalogues on disk"
+    print(f"omad: interrupted; given again, {resumed} go on where they were", file=sys.stderr)
     return exit_code() or 130
 
 

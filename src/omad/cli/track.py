@@ -11,6 +11,7 @@ from tyro.conf import OmitArgPrefixes, Positional
 from omad.common.errors import InputError
 from omad.common.files import check_folder, replacing
 from omad.common.lazy import lazy_imports
+from omad.common.stderr import tell
 from omad.sensing.input_options import FrameOptions, InputOptions
 
 from .answer import Answer, amount, as_json, table
@@ -134,7 +135,10 @@ class Track(CategoryCommand):
                     raise
                 print("omad: ended", file=sys.stderr)
             summary = sequence.finish(truth)
-        code = 2 if sequence.refused else 0 if any(one.status == "tracking" for one in sequence.tracked) else 1
+        followed = any(one.status == "tracking" for one in sequence.tracked)
+        if self.gravity is not None and not followed:
+            tell(f"omad: --gravity {self.gravity}: with a wrong one nothing is followed; see whether it goes without")
+        code = 2 if sequence.refused else 0 if followed else 1
         return Answer(summary, as_json if stream else track_text, code)
 
     def _frames(self, stream: bool) -> Iterable[Any]:
@@ -187,7 +191,7 @@ def track_text(answer: dict[str, Any]) -> str:
     lost = len(answer["refused"])
     refused = [f"refused: {lost} frames, named in summary.json"] if lost else []
     file = Path(answer["output"]) / "track.html"
-    page = [f"page: {file}"] if file.is_file() else ["no page: the object was found in no frame"]
+    page = [f"page: {file}"] if file.is_file() else ["the object was followed in no frame, so there is no page"]
     unsure = answer["doubtful"]
     doubtful = [f"doubtful: {unsure} frames, rather wrong than right; states.csv says which"] if unsure else []
     return "\n".join(
