@@ -271,7 +271,7 @@ def test_damaged_and_foreign_checkpoints(kind, capsys):
 
 def test_a_net_is_no_prior(capsys):
     assert "config.json: " in refused(capsys, "train", "net", *LAPTOP, "--prior", SHIPPED, "--output", "x")
-    assert "config.json: " in refused(capsys, "eval", "keypoints", *LAPTOP, "--weights", SHIPPED)
+    assert "config.json: " in refused(capsys, "train", "prior", *LAPTOP, "--initial", SHIPPED, "--output", "x")
     line = refused(capsys, "train", "net", *LAPTOP, "--initial", SHIPPED, "--size", "paper", "--output", "x")
     assert "--size" in line
 
@@ -385,6 +385,12 @@ def test_weights_of_one_category_are_not_taken_for_others(capsys):
     for command in (["figure", "sweep", "--output", "x"], ["detect", "d.npy", *K]):
         line = refused(capsys, *command, "--weights", SHIPPED, "--categories", "drawer")
         assert "is for laptop, not for drawer" in line
+
+
+def test_an_option_that_names_nothing_is_refused(capsys):
+    """As a variable that is not set does."""
+    assert "--formats: names nothing" in refused(capsys, "estimate", "a.png", *LAPTOP, "--formats")
+    assert "--rows: names nothing" in refused(capsys, "eval", "robustness", *LAPTOP, "--rows")
 
 
 def test_seeds_and_threads(capsys):

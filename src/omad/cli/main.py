@@ -4,6 +4,7 @@ import io
 import os
 import re
 import sys
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, fields, is_dataclass
 from inspect import cleandoc
@@ -129,7 +130,7 @@ def run(arguments: list[str]) -> int:
         return 0
     try:
         command = parse(arguments)
-        check_options(command)
+        check_options(command, arguments)
         answer = command.run()
     except (InputError, WorkError) as error:
         print(f"omad: {one_line(error)}", file=sys.stderr)
@@ -148,15 +149,18 @@ def run(arguments: list[str]) -> int:
     return answer.code
 
 
-def check_options(options: Any) -> None:
-    """Raises InputError for what no file can be called, and for a seed that is none, among a command's options."""
+def check_options(options: Any, arguments: Sequence[str] = ()) -> None:
+    """Raises InputError for what no file can be called, for a seed that is none, and for an option among the
+    ``arguments`` that is to name something and names nothing, as a shell's variable that is not set does."""
     for field in fields(options):
-        value = getattr(options, field.name)
+        value, option = getattr(options, field.name), f"--{field.name.replace('_', '-')}"
+        if value == field.default == () and option in arguments:
+            raise InputError(f"{option}: names nothing; name at least one, or leave it out")
         if field.name == "seed":
             check_seed(value)
         for path in value if isinstance(value, tuple) else (value,):
             if is_dataclass(path):
-                check_options(path)
+                check_options(path, arguments)
             elif isinstance(path, Path):
                 try:
                     path.exists()
