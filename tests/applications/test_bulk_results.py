@@ -10,13 +10,20 @@ import pytest
 import omad
 from helpers.command_line import laptop_view
 from omad import InputError
-from omad.applications.bulk import stream
+from omad.applications.bulk import parquet_images, stream
 from omad.applications.bulk.results import Results
 
 
 @cache
 def alone() -> omad.Estimate:
     return omad.Estimator.from_pretrained("laptop", "cpu")(laptop_view().observation())
+
+
+@pytest.mark.parametrize("rows", [[[1.0, 2.0, 3.0], [4.0]], [[1.0, 2.0, 3.0], None, [4.0, 5.0, 6.0]]])
+def test_rows_of_pixels_that_are_not_of_one_length_are_no_image(rows):
+    arrow = pytest.importorskip("pyarrow")
+    with pytest.raises(InputError, match=r"depth: .*its rows are not of one length"):
+        parquet_images._image(arrow.scalar(rows), None, "depth", lambda stored: stored)
 
 
 def written(path: Path, outcomes: list[stream.Outcome], cut: int) -> list[dict]:

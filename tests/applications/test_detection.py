@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
 from scipy.special import softmax
 
 import omad
-from omad.applications.detection.detector import Detection, Detector, called
+from omad.applications.detection.detector import Detection, Detector, called, detect
 from omad.applications.detection.judgement import Judgement
+from omad.common.errors import InputError
 from omad.data.procedural import generate
 from omad.data.rendering.depth_noise import ON
 from omad.data.rendering.standard_views import standard_view
@@ -21,6 +23,7 @@ from omad.estimation.categories.late import LateEstimator
 from omad.geometry.camera import STANDARD_CAMERA
 from omad.model.fronts.network import shipped_front_net
 from omad.objects.category_file import get_category
+from omad.sensing.observation import Observation
 
 NAMES = ("laptop", "eyeglasses")
 SCENES = range(4)
@@ -172,6 +175,22 @@ def test_a_box_says_where_to_look() -> None:
     for found in inside:
         assert found.observation.mask is not None
         assert found.observation.mask[y1:y2, x1:x2].sum() == len(found.observation.points)
+
+
+def test_a_box_holds_all_that_the_points_of_a_large_image_stand_for() -> None:
+    frame = Observation.from_depth(np.full((1440, 1920), 2.0, np.float32), (1500, 1500, 959.5, 719.5))
+    for box, expected in (((100, 100, 301, 301), (100, 100, 302, 302)), ((1700, 1300, 1920, 1440),) * 2):
+        thing = frame.part(frame.inside(box))
+        assert thing.mask is not None
+        rows, columns = np.nonzero(thing.mask)
+        found = Detection(thing, {None: 1.0}, None, {}).box
+        assert found == expected == (columns.min(), rows.min(), columns.max() + 1, rows.max() + 1)
+
+
+@pytest.mark.parametrize("categories", [None, 3, [None], {"laptop"}])
+def test_categories_that_are_none_are_refused(categories: Any) -> None:
+    with pytest.raises(InputError, match="categories: "):
+        detect(np.ones((60, 80), np.float32), (100, 100, 40, 30), categories)
 
 
 def test_a_cloud_has_no_box() -> None:

@@ -6,6 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from omad.applications.tracking.motion import SUREST, MotionConfig, MotionFilter, Placement
 from omad.applications.tracking.shape_belief import ShapeBelief, ShapeConfig
+from omad.common.errors import InputError
 from omad.geometry.rigid import rigid
 
 
@@ -79,3 +80,9 @@ def test_a_cold_start_adds_to_what_is_known_of_the_shape():
     belief.update(posterior @ seen @ truth, posterior, 1.0, cold=True)
     np.testing.assert_allclose(belief.covariance, np.eye(2) / (1 + 6 * 20))
     np.testing.assert_allclose(belief.mean, truth * 120 / 121)
+
+
+def test_a_belief_that_counts_no_view_is_refused():
+    for settings in ({"new_view": 0.0}, {"most_views": 0.5}):
+        with pytest.raises(InputError, match="ShapeConfig: new_view must be above 0"):
+            ShapeConfig(**settings)

@@ -358,6 +358,9 @@ def test_a_catalogue_on_disk_knows_what_it_was_made_of(capsys):
     for index, name in enumerate("bd"):
         write_urdf(replace(generate(LAPTOP, index, "test"), name=name), f"models/{name}/{name}.urdf")
     assert answer(capsys, *on_disk, "--source", "models")["entries"] == 4
+    write_urdf(replace(generate(LAPTOP, 9, "test"), name="d"), "models/d/d.urdf")
+    assert "are not those" in refused(capsys, *on_disk, "--source", "models")
+    write_urdf(replace(generate(LAPTOP, 1, "test"), name="d"), "models/d/d.urdf")
     write_urdf(replace(generate(LAPTOP, 2, "test"), name="c"), "models/c/c.urdf")
     assert "are not those" in refused(capsys, *on_disk, "--source", "models")
     shutil.move("models/c", "models/e")

@@ -46,6 +46,19 @@ def test_meshes_elsewhere_in_a_package_or_folder_are_watched_and_links_keep_thei
     assert widths() == [0.6, 0.65]
 
 
+def test_a_package_is_one_object_and_two_of_one_name_are_refused():
+    write_urdf(microwave(), "package/urdf/oven.urdf")
+    shutil.move("package/urdf/meshes", "package/meshes")
+    Path("package/package.xml").write_text("<package/>")
+    found = load_folder("package", MICROWAVE)
+    assert ([model.name for model in found.models], found.refused) == (["package"], [])
+    write_urdf(microwave("x", width=0.5), "models/x.urdf")
+    write_urdf(microwave("x", width=0.6), "models/x/oven.urdf")
+    for read in (lambda: load_folder("models", MICROWAVE), lambda: import_folder("models", MICROWAVE, Path("ours"))):
+        with pytest.raises(InputError, match=r"x\.urdf: is called as models/x is; rename one"):
+            read()
+
+
 def test_a_mesh_that_tells_its_unit_is_taken_in_it():
     made = microwave()
     file = write_urdf(made, Path("oven.urdf"))

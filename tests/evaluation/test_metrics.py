@@ -120,6 +120,7 @@ def test_glasses_seen_from_behind_are_flipped_and_their_temples_swapped():
     assert [(e.flipped, e.swapped) for e in found] == [(False, False), (True, True)]
     table = summarise(found, np.ones(2), EYEGLASSES)
     assert (table["flipped"], table["swapped"]) == (0.5, 0.5)
+    assert missing_errors(EYEGLASSES).flipped
 
 
 def test_no_results_make_no_summary():

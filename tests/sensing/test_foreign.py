@@ -168,6 +168,10 @@ def test_ros_masks_colours_and_compressed_depth(tmp_path, plain):
     assert np.array_equal(Observation.from_depth(packed, camera_info("ROS2_HUMBLE"), labels).points, seen.points)
     with pytest.raises(InputError, match="depth: encoding '32SC1' is one of labels"):
         Observation.from_depth(labels, camera_info("ROS2_HUMBLE"))
+    Image.fromarray(np.ones((480, 640), np.int32)).save(tmp_path / "d.tif")
+    data = np.frombuffer((tmp_path / "d.tif").read_bytes(), np.uint8)
+    with pytest.raises(InputError, match="32SC1; tiff compressed' is one of labels"):
+        Observation.from_depth(types["sensor_msgs/msg/CompressedImage"](header(types), "32SC1; tiff compressed", data))
     assert np.array_equal(seen.color, bgr[..., ::-1])
 
 

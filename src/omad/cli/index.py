@@ -120,7 +120,8 @@ class IndexBuild(CategoryCommand):
             names, read = [_stamped(file, Path(self.source)) for file in files], repr((self.reading, self.fuse))
         else:
             found = load_models(self.source, estimator.category, self.objects, "test", self.seed)
-            models, names = list(found.models), [model.name for model in found.models]
+            models = list(found.models)
+            names = [model.name if self.source in NAMES else _measured(model) for model in models]
             refused += found.refused
         portions = self._portions(estimator, index.taken(source), views, files, models, refused, doubtful)
         index.add(portions, source, names, read)
@@ -222,6 +223,15 @@ def _stamped(file: Path, folder: Path) -> str:
     """A file's name in the ``folder``, its size and when it was written: another file of that name is another input."""
     status = file.stat()  # times to the second, as some file systems keep them
     return f"{file.relative_to(folder).as_posix()}\0{status.st_size} {int(status.st_mtime)}"
+
+
+DIGITS = 4
+"""Behind the point, of metres that tell one model from another: processors round further ones otherwise."""
+
+
+def _measured(model: ObjectModel) -> str:
+    """A model's name and its parts' boxes: another model of that name is another input."""
+    return f"{model.name}\0{model.part_boxes().round(DIGITS).tolist()}"
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -36,8 +36,8 @@ class PoseErrors:
 
     @property
     def flipped(self) -> bool:
-        """The base is seen the wrong way round."""
-        return bool(self.rotation[0] > np.pi / 2)
+        """The base is seen the wrong way round; as a missing answer counts, too."""
+        return bool(self.rotation[0] >= np.pi / 2)
 
     def right(self, category: Category, diagonal: float) -> bool:
         """Whether the answer is of use: every joint state within 10 degrees, or 10 % of the object's ``diagonal``."""

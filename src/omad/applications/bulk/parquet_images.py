@@ -159,6 +159,8 @@ def _image(
         if hasattr(value, "values"):  # a list
             numbers = value.values
             if hasattr(numbers, "flatten"):  # of rows
+                if numbers.null_count or len({len(row) for row in numbers}) > 1:
+                    raise ValueError("its rows are not of one length")
                 shape, numbers = (len(numbers), -1), numbers.flatten()
             array = numbers.to_numpy(zero_copy_only=False)
         else:

@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -90,10 +91,12 @@ class Detection:
     @property
     def box(self) -> tuple[int, int, int, int] | None:
         """x1, y1, x2, y2 in pixels of the image that was given, half-open; None in a bare cloud."""
-        if self.observation.given_pixels is None:
+        if self.observation.given_pixels is None or self.observation.depth is None:
             return None
         (x1, y1), (x2, y2) = bounds(self.observation.given_pixels).tolist()
-        return x1, y1, x2 + 1, y2 + 1
+        height, width = self.observation.depth.shape
+        each = self.observation.every  # rows and columns of a point
+        return x1, y1, min(x2 + each, width), min(y2 + each, height)
 
     def to_dict(self) -> dict[str, Any]:
         """As JSON has it; ``centre`` is the middle of its seen points' box, metres, camera frame."""
@@ -247,7 +250,7 @@ class Detector:
 def detect(
     seen: Any,
     K: Any = None,
-    categories: str | Sequence[str] = (),
+    categories: str | Path | Sequence[str | Path] = (),
     box: Sequence[float] | None = None,
     known: Known = NOTHING_KNOWN,
 ) -> list[Detection]:
@@ -258,8 +261,10 @@ def detect(
     if isinstance(seen, Observation) and K is not None:
         raise InputError("K: an Observation has its camera; leave K out")
     frame = seen if isinstance(seen, Observation) else Observation.from_depth(seen, K)
-    names = (categories,) if isinstance(categories, str) else tuple(categories)
-    return replace(_detector(names or tuple(shipped_categories())), known=known)(frame, box)
+    names = [categories] if isinstance(categories, str | Path) else categories
+    if not isinstance(names, Sequence) or not all(isinstance(name, str | Path) for name in names):
+        raise InputError("categories: must be names or checkpoint folders, one or a list of them")
+    return replace(_detector((*map(str, names),) or tuple(shipped_categories())), known=known)(frame, box)
 
 
 @cache

@@ -35,7 +35,8 @@ class FrameFile:
 
     path: Path
     time: float
-    """Seconds since the first frame; nan where it is not known, as the ``fault`` says."""
+    """Seconds since the first frame, or as the line of a stream tells them; nan where it is not known, as the ``fault``
+    says."""
     source: RecordedFrame | None = None
     """Of a recording or a camera; ``path`` is then but its name."""
     fault: InputError | None = None

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from omad.common.errors import InputError
 from omad.estimation.known import information
 
 
@@ -19,6 +20,10 @@ class ShapeConfig:
     """Radians that the base turns before the camera (or a joint moves) until a frame tells something new."""
     most_views: float = 6.0
     """The belief never counts more independent views than this; older ones are forgotten for newer ones."""
+
+    def __post_init__(self) -> None:
+        if not (self.new_view > 0 and self.most_views >= 1):
+            raise InputError("ShapeConfig: new_view must be above 0, and most_views at least 1")
 
 
 class ShapeBelief:

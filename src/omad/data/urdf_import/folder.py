@@ -300,18 +300,24 @@ def _up(R_canonical_source: np.ndarray) -> str | None:
 
 
 def object_paths(folder: Path | str) -> list[Path]:
-    """The ``.urdf`` files or sub-folders of ``folder``, one an object, by name; or ``folder`` itself, if it is one.
-    Raises InputError where ``folder`` does not exist or holds no object at all."""
+    """The ``.urdf`` files or sub-folders of ``folder``, one an object, by name; or ``folder`` itself, if it is one, a
+    ROS package, say. Raises InputError where ``folder`` does not exist, or holds no object or two of one name."""
     folder = as_path(folder, "a folder of URDF models")
     if not (os.path.isdir(folder) or os.path.isfile(folder)):
         raise InputError(f"{folder}: no such folder; give a folder of URDF models")
     if folder.is_file() or (folder / partnet.URDF).is_file():
+        return [folder]
+    if not _urdf_files(folder) and len(_urdf_files(folder / PACKAGED)) == 1 and is_file(folder / "package.xml"):
         return [folder]
     folders = sorted(sub for sub in folder.iterdir() if sub.is_dir() and not sub.name.startswith("."))
     alone = _urdf_files(folder)  # beside such, folders of their meshes may lie
     found = sorted([*alone, *(sub for sub in folders if not alone or _urdf_files(sub) or _urdf_files(sub / PACKAGED))])
     if not found:
         raise InputError(f"{folder}: no .urdf in it or in its sub-folders; give a folder of URDF models")
+    called = dict[str, Path]()
+    for path in found:
+        if (other := called.setdefault(object_name(path), path)) != path:
+            raise InputError(f"{path}: is called as {other} is; rename one of them")
     return found
 
 

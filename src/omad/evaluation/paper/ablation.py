@@ -100,8 +100,9 @@ def train_variant(
         return checkpoint
     short = PriorTraining(schedule=_short(PriorTraining().schedule, 2 * samples, seed))
     if is_checkpoint(home):
-        if training_record(PriorNet, home)["schedule"] != asdict(short.schedule):
-            raise InputError(f"{home}: was trained on other views; give another --output")
+        record = training_record(PriorNet, home)
+        if record["schedule"] != asdict(short.schedule) or record.get("objects", len(models)) != len(models):
+            raise InputError(f"{home}: was trained on other views or objects; give another --output")
     else:
         save(train_prior(models, own, home, short, device), home, made_of | {"schedule": asdict(short.schedule)})
     training = replace(variant.training, schedule=schedule)

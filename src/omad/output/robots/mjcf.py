@@ -77,9 +77,9 @@ def _add_shapes(mujoco: Any, spec: Any, link: Any, robot: Robot, part: int) -> N
     link.explicitinertial, link.mass, link.ipos = True, solid.mass, solid.centre
     link.fullinertia = [xx, yy, zz, xy, xz, yz]
     colour = [*part_colours(part), 1.0]
-    shapes = [(SHOWN, link.name, robot.model.parts[part])]
-    shapes += [(COLLIDES, f"{link.name}-body-{n}", body) for n, body in enumerate(robot.bodies[part])]
-    for group, name, mesh in shapes:
+    shapes = [(SHOWN, robot.model.parts[part]), *((COLLIDES, body) for body in robot.bodies[part])]
+    for number, (group, mesh) in enumerate(shapes):
+        name = f"{part}-{number}-{link.name}"  # parts may be called in any way
         _add_mesh(mujoco, spec, name, mesh, robot.places[part])
         collides = int(group == COLLIDES)
         link.add_geom(

@@ -51,7 +51,8 @@ def depth_from(value: Any) -> DepthObject:
     if image is not value and isinstance(image, np.ndarray) and hasattr(value, "header") and image.dtype.kind == "u":
         return DepthObject(in_metres(image), in_millimetres=True)  # by ROS's convention (REP 118)
     if image is not value and isinstance(image, np.ndarray) and image.dtype.kind == "i":
-        raise InputError(f"depth: encoding {value.encoding!r} is one of labels; send 16UC1 or 32FC1")
+        told = getattr(value, "encoding", None) or getattr(value, "format", "")
+        raise InputError(f"depth: encoding {told!r} is one of labels; send 16UC1 or 32FC1")
     return DepthObject(image)
 
 
