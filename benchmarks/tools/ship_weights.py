@@ -1,4 +1,4 @@
-"""Put a trained network and its prior where the shipped weights are, both in eight bits.
+"""Put a trained network and its prior where the shipped weights are: the network in eight bits, the prior in sixteen.
 
     python benchmarks/tools/ship_weights.py RUN PRIOR
     python benchmarks/tools/ship_weights.py RUN          (of a network of all categories, which has no prior)
@@ -20,7 +20,7 @@ from omad.model.checkpoint import WEIGHTS, write_tensors
 from omad.model.fronts import hands
 from omad.model.fronts import network as fronts
 from omad.model.proposals import network as proposals
-from omad.model.storage.packing import packed
+from omad.model.storage.packing import halved, packed
 
 
 def main(run: tyro.conf.Positional[Path], prior: tyro.conf.Positional[Path | None] = None) -> None:
@@ -28,11 +28,11 @@ def main(run: tyro.conf.Positional[Path], prior: tyro.conf.Positional[Path | Non
     of_all = {"proposals": proposals.WEIGHTS, "fronts": fronts.WEIGHTS, "hands": hands.WEIGHTS}
     folder = of_all[config["kind"]] if prior is None else WEIGHTS / config["category"]["name"]
     folder.mkdir(exist_ok=True)
-    kept = [(run, folder)] if prior is None else [(run, folder), (prior, folder / "prior")]
-    for source, target in kept:
-        write_tensors(packed(load_file(source / "model.safetensors")), target)
-        shutil.copy(source / "config.json", target / "config.json")
+    write_tensors(packed(load_file(run / "model.safetensors")), folder)
+    shutil.copy(run / "config.json", folder / "config.json")
     if prior is not None:
+        write_tensors(halved(load_file(prior / "model.safetensors")), folder / "prior")
+        shutil.copy(prior / "config.json", folder / "prior" / "config.json")
         (folder / "confidence.json").unlink(missing_ok=True)
 
 

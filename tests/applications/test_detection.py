@@ -187,7 +187,7 @@ def test_a_box_holds_all_that_the_points_of_a_large_image_stand_for() -> None:
         assert found == expected == (columns.min(), rows.min(), columns.max() + 1, rows.max() + 1)
 
 
-@pytest.mark.parametrize("categories", [None, 3, [None], {"laptop"}])
+@pytest.mark.parametrize("categories", [None, 3, [None], {"laptop": 1, 2: 2}])
 def test_categories_that_are_none_are_refused(categories: Any) -> None:
     with pytest.raises(InputError, match="categories: "):
         detect(np.ones((60, 80), np.float32), (100, 100, 40, 30), categories)

@@ -1,4 +1,4 @@
-"""Weights in eight bits."""
+"""Weights in eight bits, and in half precision."""
 
 from pathlib import Path
 
@@ -8,7 +8,8 @@ import torch
 
 from omad.model.checkpoint import WEIGHTS, load, save, write_tensors
 from omad.model.omadnet import OmadNet
-from omad.model.storage.packing import packed, unpacked
+from omad.model.priornet import PriorNet
+from omad.model.storage.packing import halved, packed, unpacked
 
 
 def test_what_is_unpacked_is_within_half_a_step_of_what_was_packed():
@@ -29,6 +30,19 @@ def test_what_is_unpacked_is_within_half_a_step_of_what_was_packed():
         else:
             assert torch.equal(after[name], values)
     assert all(torch.equal(one, after[name]) for name, one in unpacked(after).items())
+
+
+def test_what_is_halved_is_within_half_precision_but_for_what_stays_exact(tmp_path: Path):
+    torch.manual_seed(0)
+    before = {"a": torch.randn(40, 30), "prior.c": torch.randn(60, 60), "bias": torch.randn(2000)}
+    kept = halved(before)
+    assert [kept[name].dtype for name in before] == [torch.float16, torch.float32, torch.float32]
+    torch.testing.assert_close(kept["a"].float(), before["a"], rtol=2**-11, atol=1e-7)
+    for folder in (WEIGHTS / "laptop" / "prior", WEIGHTS / "drawer_5" / "prior"):
+        net = load(PriorNet, folder)
+        assert {values.dtype for values in net.state_dict().values() if values.is_floating_point()} == {torch.float32}
+        write_tensors(halved(net.state_dict()), tmp_path)
+        assert (tmp_path / "model.safetensors").read_bytes() == (folder / "model.safetensors").read_bytes()
 
 
 def test_a_packed_checkpoint_answers_as_before(tmp_path: Path):

@@ -1,6 +1,6 @@
 """Finds the objects of a frame: planes are taken away, what is left falls into things, categories judge each thing."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
@@ -250,7 +250,7 @@ class Detector:
 def detect(
     seen: Any,
     K: Any = None,
-    categories: str | Path | Sequence[str | Path] = (),
+    categories: str | Path | Iterable[str | Path] = (),
     box: Sequence[float] | None = None,
     known: Known = NOTHING_KNOWN,
 ) -> list[Detection]:
@@ -261,10 +261,11 @@ def detect(
     if isinstance(seen, Observation) and K is not None:
         raise InputError("K: an Observation has its camera; leave K out")
     frame = seen if isinstance(seen, Observation) else Observation.from_depth(seen, K)
-    names = [categories] if isinstance(categories, str | Path) else categories
-    if not isinstance(names, Sequence) or not all(isinstance(name, str | Path) for name in names):
-        raise InputError("categories: must be names or checkpoint folders, one or a list of them")
-    return replace(_detector((*map(str, names),) or tuple(shipped_categories())), known=known)(frame, box)
+    given = [categories] if isinstance(categories, str | Path) else categories
+    names = tuple(given) if isinstance(given, Iterable) else (None,)
+    if not all(isinstance(name, str | Path) for name in names):
+        raise InputError("categories: must be names or checkpoint folders, one or several")
+    return replace(_detector(tuple(map(str, names)) or tuple(shipped_categories())), known=known)(frame, box)
 
 
 @cache

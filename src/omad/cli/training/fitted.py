@@ -94,9 +94,9 @@ class TrainSurface:
         estimator = omad.Estimator.from_pretrained(folder)
         if prior_fingerprint(net.prior, net.category) != prior_fingerprint(estimator.net.prior, estimator.category):
             raise InputError(f"{prior}: is not the prior that {folder} was trained with; give that one with --prior")
+        _check_folder_of(self.weights, folder, banks.FILE)
         models = load_models(self.source, net.category, self.objects, "train", 0).models
         bank = surface_bank(net, models, generated=self.source == "procedural")
-        _check_folder_of(self.weights, folder, banks.FILE)
         unseen = self.unseen or (self.source if is_generated(self.source) else None)
         record = dict.fromkeys(("shares", "errors", "views", "follows"))
         if unseen is not None:
@@ -159,9 +159,8 @@ class TrainConfidence(CategoryCommand):
         judging = omad.Estimator(net, device=estimator.device, confidence=confidence, surfaces=surfaces)
         shared = fit_shared(judging, models, max(self.views // VIEWS_AN_OBJECT, 1), self.seed + 3, begun)
         confidence = replace(confidence, shared=shared)
-        others = fitting.answered(
-            estimator, models, max(self.views // 4, 1), self.seed + 2, begun
-        )  # not those fitted to
+        # not those fitted to
+        others = fitting.answered(estimator, models, max(self.views // 4, 1), self.seed + 2, begun)
         confidence.save(folder)
         begun.end()
         asks = {
