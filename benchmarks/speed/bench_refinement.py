@@ -68,7 +68,7 @@ def main(config: Config) -> None:
     size, samples = estimator.net.backbone.config.points, sum(estimator.config.samples)
     clouds, _ = sample_clouds(observations, size, samples, estimator.config.seed, category, "cpu")
     look = estimator._look(clouds[:, :1], first_frame(clouds.flatten(1, 2)), labels=False)
-    limits = torch.tensor([joint.limits for joint in category.joints])
+    limits = torch.as_tensor(category.limits).float()
 
     def problem(rows: torch.Tensor) -> tuple[Targets, State]:
         targets = Targets(look.targets.keypoints[rows], look.targets.weights[rows])

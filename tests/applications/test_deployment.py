@@ -167,6 +167,19 @@ def deployed_in(folder: Path, category: str) -> Path:
     return folder
 
 
+@needs
+def test_what_the_program_cannot_do_is_refused(tmp_path):
+    from omad.applications.deployment.export import deploy
+
+    usual = omad.Estimator.from_pretrained("laptop", "cpu")
+    config = omad.EstimatorConfig(confidence=False)
+    others = omad.Estimator(usual.net, config), omad.Estimator(usual.net, refine=lambda refiner, targets, start: start)
+    for other in others:
+        with pytest.raises(omad.InputError, match="leaves out confidence, or least squares"):
+            deploy(other, tmp_path / "program")
+    assert not (tmp_path / "program").exists()
+
+
 @pytest.fixture(scope="module")
 def deployed(tmp_path_factory) -> Path:
     return deployed_in(tmp_path_factory.mktemp("deployed"), "laptop")

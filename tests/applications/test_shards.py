@@ -88,6 +88,26 @@ def test_at_an_address(tmp_path):
         Store.of("nosuch://bucket")
 
 
+def test_what_is_put_at_an_address_is_there_when_all_of_it_is(tmp_path, monkeypatch):
+    fsspec = pytest.importorskip("fsspec", reason="addresses need fsspec: pip install 'omad[cluster]'")
+    store, system = Store.of(f"file://{tmp_path}/out"), fsspec.filesystem("file")
+    store.write("part", b"first")
+    put = type(system).pipe_file
+
+    def killed(self, path: str, value: bytes, **options: object) -> None:
+        put(self, path, value[:2], **options)
+        raise OSError("no network")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(type(system), "pipe_file", killed)
+        for name in ("part", "other"):
+            with pytest.raises(OSError, match="no network"):
+                store.write(name, b"second")
+    assert (store.names(), store.read("part"), store.has("other")) == ({"part"}, b"first", False)
+    store.write("part", b"second")
+    assert (store.names(), store.read("part")) == ({"part"}, b"second")
+
+
 def test_processes_do_what_failed_or_was_killed_again(tmp_path, begun_quickly, monkeypatch):
     monkeypatch.setattr(engines, "PAUSE", 0.01)
     whole = plan(tmp_path / "out", Squares(tmp_path, fails=(4, 12), kills=(8,)))

@@ -6,6 +6,7 @@ import pytest
 
 from helpers.command_line import refused
 from omad.cli.estimate import _folder_names
+from omad.model.checkpoint import WEIGHTS
 
 
 @pytest.fixture(autouse=True)
@@ -26,3 +27,12 @@ def test_of_a_folder_of_checkpoints_it_is_said_that_one_is_to_be_given(capsys):
         Path("own", name, "config.json").touch()
     line = refused(capsys, "estimate", "x.png", "--category", "auto", "--weights", "own", "--intrinsics", "9,9,4,4")
     assert "own: no config.json here; give one of the folders in it" in line
+
+
+def test_two_checkpoints_of_one_category_are_not_mixed(capsys):
+    Path("own").mkdir()
+    for name in ("first", "second"):
+        Path("own", name).symlink_to(WEIGHTS / "laptop")
+    for command in ("figure keypoints", "figure sweep"):
+        line = refused(capsys, *command.split(), "--weights", "own")
+        assert "own: first and second are both for laptop; leave one of them out" in line

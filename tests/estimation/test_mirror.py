@@ -43,7 +43,7 @@ def test_the_truth_of_an_image_is_the_truth_of_the_object(name: str) -> None:
     assert mirror is not None
     generator = torch.Generator().manual_seed(1)
     beta = torch.randn(6, prior.basis_size, generator=generator)
-    low, high = torch.tensor([joint.limits for joint in category.joints]).T
+    low, high = torch.as_tensor(category.limits).float().T
     states = low + (high - low) * torch.rand(6, len(low), generator=generator)
     T = make_transform(so3_exp(torch.randn(6, 3, generator=generator)), torch.randn(6, 3, generator=generator))
     flip = torch.diag(torch.tensor([-1.0, 1, 1, 1]))

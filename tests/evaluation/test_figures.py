@@ -141,12 +141,18 @@ def test_bad_input(name, capsys):
 def test_occluders_take_what_they_say(share):
     depth = laptop_view().depth
     for seed in range(4):
-        left = occlude(depth, share, np.random.default_rng(seed))
+        left = occlude(depth, depth > 0, share, np.random.default_rng(seed))
         assert np.count_nonzero(left) == pytest.approx((1 - share) * np.count_nonzero(depth), abs=1)
         assert (left[left > 0] == depth[left > 0]).all()
-        again = occlude(depth, share, np.random.default_rng(seed))
+        again = occlude(depth, depth > 0, share, np.random.default_rng(seed))
         assert (left == again).all()
-    assert not occlude(np.zeros((4, 4)), 0.5, np.random.default_rng(0)).any()
+        cluttered = np.where(depth > 0, depth, 2.0)  # a wall behind, which is nothing of the object's
+        assert np.array_equal(
+            occlude(cluttered, depth > 0, share, np.random.default_rng(seed))[depth > 0], left[depth > 0]
+        )
+        assert (occlude(cluttered, depth > 0, share, np.random.default_rng(seed))[depth == 0] == 2.0).all()
+    nothing = np.zeros((4, 4))
+    assert not occlude(nothing, nothing > 0, 0.5, np.random.default_rng(0)).any()
 
 
 def test_a_view_hides_the_far_side():

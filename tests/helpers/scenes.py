@@ -84,7 +84,7 @@ def scene(category: Category, batch: int = 12, noise: float = 0.0, seed: int = 0
         prior.loosen(0.05 * normal(len(category.joints), 3, loose))
     root = torch.linalg.cholesky(prior.beta_covariance)
     beta = prior.beta_mean + normal(batch, prior.basis_size) @ root.T
-    limits = torch.tensor([joint.limits for joint in category.joints], dtype=torch.float64)
+    limits = torch.as_tensor(category.limits)
     share = torch.rand(batch, len(limits), generator=draw, dtype=torch.float64)
     states = limits[:, 0] + share * (limits[:, 1] - limits[:, 0])
     T = make_transform(so3_exp(normal(batch, 3)), normal(batch, 3) + torch.tensor([0.0, 0.0, 4.0]))

@@ -51,7 +51,7 @@ def scissors():
     own = known - prior.keypoints(beta)[0].numpy()
     placed = Placed.at(prior, state, np.zeros(7 + prior.basis_size), own)
     seen = VisibleSurface.of(placed, template, placed.keypoints + [0, 0, 4.0], 96, 0.01)
-    limits = np.array([joint.limits for joint in net.category.joints])
+    limits = net.category.limits
     return prior, limits, placed, template, seen
 
 

@@ -207,7 +207,7 @@ def found_again(laptop, shift: list[float], config: FitConfig) -> np.ndarray:
     step = np.concatenate([[0.03, -0.02, 0.03], [0.02, 0.03, -0.03], np.full(joints, 0.06), np.zeros(prior.basis_size)])
     start = truth.moved(torch.as_tensor(step)[None])
     covariance = np.diag(np.concatenate([np.full(6, 0.03**2), np.full(joints, 0.06**2), np.full(10, 0.05**2)]))
-    limits = np.array([joint.limits for joint in net.category.joints])
+    limits = net.category.limits
     cloud = Cloud.of(visible.points, visible.parts, 300)
     fit = SurfaceFit.of(prior, limits, start, covariance, cloud, config)
     before, after = fit.begin(), fit(fit.begin(), template)

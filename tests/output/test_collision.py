@@ -4,7 +4,6 @@ import tracemalloc
 from dataclasses import replace
 from functools import cache
 from itertools import product
-from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -20,7 +19,7 @@ from omad.geometry.mesh import Mesh, merge_meshes
 from omad.geometry.rigid import rigid
 from omad.objects.category_file import get_category
 from omad.objects.model import ObjectModel
-from omad.objects.urdf import write_urdf
+from omad.objects.urdf import urdf_robot
 from omad.output.robots.collision import collision_bodies
 from omad.output.robots.robot import DENSITY, Solid
 
@@ -168,7 +167,7 @@ def test_a_cabinet_is_hollow():
 def test_the_urdf_has_a_collision_a_body(tmp_path):
     model, of_parts = some_object("laptop")
     bodies = [[body.mesh for body in of_part] for of_part in of_parts]
-    root = ElementTree.parse(write_urdf(model, tmp_path / "object.urdf", bodies)).getroot()
+    root = urdf_robot(model, tmp_path / "object.urdf", bodies)
     for link, of_part in zip(root.findall("link"), bodies, strict=True):
         files = [element.find("geometry/mesh").get("filename") for element in link.findall("collision")]
         assert len(link.findall("visual")) == 1

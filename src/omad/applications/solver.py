@@ -55,6 +55,10 @@ class Found:
         """Whether it is rather wrong than right."""
         return self.none or is_doubtful(self.estimate, self.checks)
 
+    def with_seconds(self, read: float) -> Self:
+        """With how long it took to ``read`` what was asked."""
+        return replace(self, estimate=replace(self.estimate, seconds=self.estimate.seconds | {"read": read}))
+
     def to_dict(self) -> dict[str, Any]:
         """For JSON, as plain values."""
         return {**self.estimate.to_dict(), **self._doubts()}

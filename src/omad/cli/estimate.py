@@ -47,7 +47,7 @@ CHOICE = (
 NEAR = 0.2
 """A category with this probability is named beside the likeliest one."""
 ESTIMATE = "estimate.json"
-DOUBTFUL = 1
+EXIT_DOUBTFUL = 1
 """Exit code of --strict."""
 
 
@@ -143,7 +143,7 @@ class EstimateCommand(CategoryCommand):
         """The exit code of so many results, where it is ``enough`` of them that have to be answers."""
         if not enough(result["converged"] or result["category"] is None for result in results):
             return 1
-        return DOUBTFUL if self.strict and any(result["doubtful"] for result in results) else 0
+        return EXIT_DOUBTFUL if self.strict and any(result["doubtful"] for result in results) else 0
 
     def _poses(self, inputs: int) -> list[Any]:
         """T_world_camera of all inputs; of the one camera; or none. Raises InputError."""
@@ -159,8 +159,7 @@ class EstimateCommand(CategoryCommand):
 
     def _finish(self, view: _Read, found: Found, T_world_camera: Any) -> dict[str, Any]:
         """Write the answer to one input; what is said of it."""
-        folder = self.output / view.name
-        found.estimate.seconds["read"] = view.seconds
+        folder, found = self.output / view.name, found.with_seconds(read=view.seconds)
         with replacing(_earlier(folder)):
             if found.none:
                 record = found.none_of_them()

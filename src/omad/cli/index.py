@@ -15,13 +15,13 @@ from tyro.conf import OmitArgPrefixes, Positional
 
 import omad
 from omad.common.errors import InputError, as_line
-from omad.common.files import check_folder, replacing, write_atomic
+from omad.common.files import check_folder, replacing, stamp, write_atomic
 from omad.common.lazy import lazy_imports
 from omad.sensing.input_options import InputOptions
 
 from .answer import Answer, table
 from .options import (
-    NAMES,
+    MADE,
     BrokenFiles,
     CategoryCommand,
     Device,
@@ -47,9 +47,8 @@ with lazy_imports():
         prior_fingerprint,
     )
     from omad.common.batches import progress
-    from omad.common.incoming import is_path
-    from omad.data.rendering.standard_views import View
-    from omad.data.source import ViewSource, kind_of, load_models, load_views
+    from omad.common.incoming import address_of, is_path
+    from omad.data.source import ViewSource, is_generated, kind_of, load_models, load_views
     from omad.data.urdf_import.folder import is_urdf
     from omad.model.checkpoint import find_weights
     from omad.objects.category import Category
@@ -81,7 +80,8 @@ class IndexBuild(CategoryCommand):
     beta: plain Euclidean distance of the shape parameters, as in the paper; whitened: in standard deviations of
     them."""
     fuse: bool = True
-    """One entry an object, from all of its views together; --no-fuse: an entry a view."""
+    """One entry an object, from all of its views together (on disk, of views in shards, from some hundred of all
+    objects at a time); --no-fuse: an entry a view."""
     backend: Literal["exact", "faiss", "disk"] = "exact"
     """exact: compares all entries, fast up to a million; faiss: nearly exact, for many millions; disk: nearly exact, of
     a stream, for more than memory holds. The last two are an extra."""
@@ -109,11 +109,10 @@ class IndexBuild(CategoryCommand):
 
     def _on_disk(self, estimator: omad.Estimator, space: Space) -> Answer:
         index, refused, doubtful = LargeIndex.create(self.output, space), list[dict[str, str]](), list[dict[str, Any]]()
-        made = self.source in NAMES or not Path(self.source).is_dir()  # by a generator
-        there = self.source if self.source in NAMES else os.path.realpath(self.source)  # however it is spelled
-        source = f"{there} {self.seed}" if made else there
+        there = self.source if self.source in MADE else address_of(self.source) or os.path.realpath(self.source)
+        source = f"{there} {self.seed}" if is_generated(self.source) else there  # however it is spelled
         files, models, names, read = self._files, list[ObjectModel](), list[str](), ""
-        views = self._views(estimator.category, index.taken(source))
+        views = self._views(estimator.category)
         if views is not None:
             read = repr((views.made_of, self.fuse))
         elif files:
@@ -121,10 +120,14 @@ class IndexBuild(CategoryCommand):
         else:
             found = load_models(self.source, estimator.category, self.objects, "test", self.seed)
             models = list(found.models)
-            names = [model.name if self.source in NAMES else _measured(model) for model in models]
+            names = [model.name if self.source in MADE else _measured(model) for model in models]
             refused += found.refused
-        portions = self._portions(estimator, index.taken(source), views, files, models, refused, doubtful)
-        index.add(portions, source, names, read)
+
+        def portions() -> Iterator[Portion]:
+            taken = index.taken(source)  # asked for when nobody else adds any more
+            yield from self._portions(estimator, taken, files, models, refused, doubtful)
+
+        index.add(portions(), source, names, read)
         if not len(index):
             raise self._nothing_usable(refused)
         record = {"index": str(self.output), "category": space.category, "metric": self.metric}
@@ -147,22 +150,24 @@ class IndexBuild(CategoryCommand):
         self,
         estimator: omad.Estimator,
         taken: int,
-        views: ViewSource | None,
         files: list[Path],
         models: list[ObjectModel],
         refused: list[dict[str, str]],
         doubtful: list[dict[str, Any]],
     ) -> Iterator[Portion]:
-        """All that the source holds, ``views`` without the first ``taken`` ones, depth ``files`` or ``models``, without
-        its first ``taken`` inputs; what is ``refused`` or ``doubtful`` of it is added to these."""
+        """All that the source holds, views, depth ``files`` or ``models``, without its first ``taken`` inputs; what is
+        ``refused`` or ``doubtful`` of it is added to these."""
         folder = Path(self.source)
-        if views is not None:
-
-            def seen(some: list[View]) -> Iterator[catalogue.Seen]:
-                return catalogue.seen_views(some, len(some), self.source, refused)
-
-            rest = progress(views.views, views.total, done=taken)
-            yield from portions_of_inputs(estimator, rest, lambda view: view.object, seen, self.fuse, doubtful)
+        if (views := self._views(estimator.category, taken)) is not None:
+            rest = enumerate(progress(views.views, views.total, done=taken), taken)
+            yield from portions_of_inputs(
+                estimator,
+                rest,
+                lambda view: view[1].object,
+                lambda some: catalogue.seen_views(some, self.source, refused),
+                self.fuse,
+                doubtful,
+            )
             refused += views.refused
             return
         if files:
@@ -183,7 +188,7 @@ class IndexBuild(CategoryCommand):
         """Those that the source holds, without the first ``taken``; None where it holds none."""
         if kind_of(self.source).images is None:
             return None
-        return load_views(self.source, category, 1, 1, self.seed, "off", self.broken, taken)
+        return load_views(self.source, category, 1, 1, self.seed, "off", self.broken, taken, self.fuse)
 
     @cached_property
     def _files(self) -> list[Path]:
@@ -201,7 +206,8 @@ class IndexBuild(CategoryCommand):
         category = estimator.category
         refused: list[dict[str, str]] = []
         if (views := self._views(category)) is not None:
-            seen, refused = catalogue.seen_views(views.views, views.total, self.source, views.refused), views.refused
+            every, refused = enumerate(progress(views.views, views.total)), views.refused
+            seen = catalogue.seen_views(every, self.source, refused)
         elif files := self._files:
             seen = self._read(Path(self.source), files, refused)
         else:  # models, whose meshes look like clouds
@@ -221,8 +227,7 @@ class IndexBuild(CategoryCommand):
 
 def _stamped(file: Path, folder: Path) -> str:
     """A file's name in the ``folder``, its size and when it was written: another file of that name is another input."""
-    status = file.stat()  # times to the second, as some file systems keep them
-    return f"{file.relative_to(folder).as_posix()}\0{status.st_size} {int(status.st_mtime)}"
+    return f"{file.relative_to(folder).as_posix()}\0{stamp(file)}"
 
 
 DIGITS = 4

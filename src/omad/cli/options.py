@@ -130,13 +130,13 @@ class Cluster:
         return Sharded(plan, run_shards(plan, made_of, choose_engine(workers, gpus=float(device == "cuda"))))
 
 
-NAMES = ("procedural", "unusual", "mirrored", *builtin_names())
-"""Of sources and categories, which are no files even where files are called so."""
+MADE = ("procedural", "unusual", "mirrored")
+"""Sources that are no files, even where files are called so."""
 
 
 def everywhere(name: Any) -> Any:
     """A path as another process finds it, whatever folder it works in; all else as it is."""
-    there = isinstance(name, str | Path) and name not in NAMES and is_path(name)
+    there = isinstance(name, str | Path) and name not in MADE and is_path(name)
     return type(name)(Path(name).absolute()) if there else name
 
 
@@ -145,8 +145,8 @@ class Models:
     """The object models to measure on."""
 
     source: str = "procedural"
-    """procedural, unusual (its odd members), mirrored (of the other hand), a generator of your own (.py), or a folder
-    of URDF / PartNet-Mobility models."""
+    """procedural, unusual (its odd members), mirrored (of the other hand, which no prior knows), a generator of your
+    own (.py), or a folder of URDF / PartNet-Mobility models."""
     objects: int = 20
     """Procedural objects a category."""
     seed: Seed = 0
@@ -209,10 +209,14 @@ def checkpoints(weights: Path | None, names: Sequence[str] = ()) -> list[Path]:
     names = names or sorted(path.parent.name for path in folder.glob("*/config.json"))
     if not names:
         raise InputError(f"{folder}: no <category>/config.json in it; give a folder with one checkpoint a category")
+    of = dict[str, str]()
     for name in names:
         if not checkpoint.is_checkpoint(folder / name):
             cure = "put blanks between categories" if "," in name else "see omad info, or give --weights"
             raise InputError(f"{name}: no weights in {folder / name}; {cure}")
+        own = checkpoint.category_of(OmadNet, folder / name).name
+        if (first := of.setdefault(own, name)) != name:
+            raise InputError(f"{folder}: {first} and {name} are both for {own}; leave one of them out")
     return [folder / name for name in names]
 
 

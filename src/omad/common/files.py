@@ -25,6 +25,12 @@ FILES = (".png", ".jpg", ".html", ".json", ".csv", ".npy", ".npz", ".urdf", ".gl
 """What no folder's name ends with."""
 
 
+def stamp(path: Path) -> str:
+    """Another one when a file is written anew: its size and when it was written. Raises OSError."""
+    status = path.stat()
+    return f"{status.st_size} {int(status.st_mtime)}"  # to the second, as some file systems keep it
+
+
 def write_atomic(path: str | Path, write: Callable[[Path], Any]) -> None:
     """Call ``write`` with a temporary path beside ``path``, then rename it: a crash leaves no half-written file. The
     temporary name ends in the same extension. Raises InputError where the folder cannot be written, WorkError where

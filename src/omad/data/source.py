@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Literal, Self, TypeAlias
 
 from omad.common.errors import InputError
+from omad.common.files import stamp
 from omad.objects.category import Category
 from omad.objects.model import ObjectModel, SampledObject
 
@@ -73,12 +74,15 @@ class SourceKind:
     are InputErrors that name the source."""
 
     is_one: Callable[[str], bool]
+    makes: bool = False
+    """As many objects as one likes."""
     models: Callable[[str, Category, int, Split, int], ModelSource] | None = None
     """Objects with meshes, of which views can be rendered, by source, category, their number, split and seed."""
     surfaces: Callable[[str, Category, Split, Broken], list[SampledObject]] | None = None
     """Complete objects without meshes."""
-    images: Callable[[str, Category, Broken, int], ViewSource] | None = None
-    """Views to test on, without the first so many of them, which the total counts."""
+    images: Callable[[str, Category, Broken, int, bool], ViewSource] | None = None
+    """Views to test on, without the first so many of them, which the total counts; those of one object together, if so
+    asked and they can be read so."""
 
     @property
     def has_objects(self) -> bool:
@@ -114,20 +118,20 @@ def _artimage_surfaces(source: str, category: Category, split: Split, broken: Br
     return [thing.surface for thing in open_artimage(source, category, split, broken).objects.values()]
 
 
-def _artimage_images(source: str, category: Category, broken: Broken, skip: int) -> ViewSource:
+def _artimage_images(source: str, category: Category, broken: Broken, skip: int, by_object: bool) -> ViewSource:
     images = open_artimage(source, category, "test", broken)
-    made_of = repr([annotation.path.name for annotation in images.annotations])
+    made_of = repr([(annotation.path.name, stamp(annotation.path)) for annotation in images.annotations])
     return ViewSource(islice(images, skip, None), len(images), False, images.left_out, made_of=made_of)
 
 
-def _rendered_images(source: str, category: Category, broken: Broken, skip: int) -> ViewSource:
-    rendered = open_views(source, broken, category)
+def _rendered_images(source: str, category: Category, broken: Broken, skip: int, by_object: bool) -> ViewSource:
+    rendered = replace(open_views(source, broken, category), by_object=by_object)
     noisy = rendered.noise is not None or rendered.clutter
-    made_of = repr([rendered.objects, rendered.views, rendered.seed, rendered.noise, rendered.clutter])
+    made_of = repr([rendered.objects, rendered.views, rendered.seed, rendered.noise, rendered.clutter, rendered.stamp])
     return ViewSource(rendered.after(skip), len(rendered), noisy, rendered.left_out, made_of=made_of)
 
 
-def _images_in_shards(source: str, category: Category, broken: Broken, skip: int) -> ViewSource:
+def _images_in_shards(source: str, category: Category, broken: Broken, skip: int, by_object: bool) -> ViewSource:
     if broken == "skip":
         raise InputError(
             f"{source}: views in shards are all counted; leave out --broken skip, render broken ones again"
@@ -154,10 +158,10 @@ def _of_own(source: str, category: Category, objects: int, split: Split, seed: i
 
 
 KINDS: dict[str, SourceKind] = {
-    "procedural": SourceKind(lambda source: source == "procedural", models=_generated),
-    "unusual": SourceKind(lambda source: source == "unusual", models=_unusual),
-    "mirrored": SourceKind(lambda source: source == "mirrored", models=_mirrored),
-    "generator": SourceKind(lambda source: source.endswith(SUFFIX), models=_of_own),
+    "procedural": SourceKind(lambda source: source == "procedural", True, _generated),
+    "unusual": SourceKind(lambda source: source == "unusual", True, _unusual),
+    "mirrored": SourceKind(lambda source: source == "mirrored", True, _mirrored),
+    "generator": SourceKind(lambda source: source.endswith(SUFFIX), True, _of_own),
     "artimage": SourceKind(is_artimage, surfaces=_artimage_surfaces, images=_artimage_images),
     "rendered": SourceKind(is_view_folder, images=_rendered_images),
     "shards": SourceKind(is_view_shards, images=_images_in_shards),
@@ -173,7 +177,7 @@ def kind_of(source: str) -> SourceKind:
 
 def is_generated(source: str) -> bool:
     """Whether it makes as many objects as one likes."""
-    return source == "procedural" or source.endswith(SUFFIX)
+    return kind_of(source).makes
 
 
 def load_models(source: str, category: Category, objects: int, split: Split, seed: int) -> ModelSource:
@@ -198,12 +202,13 @@ def load_objects(
 
 
 def load_views(
-    source: str, category: Category, objects: int, views: int, seed: int, noise: str, broken: Broken, skip: int = 0
-) -> ViewSource:
+    source: str, category: Category, objects: int, views: int, seed: int, noise: str, broken: Broken, skip: int = 0,
+    by_object: bool = False,
+) -> ViewSource:  # fmt: skip
     """Views to test on: all images that a source holds, else standard views of its models, of which no more are
     generated than there are views; without the first ``skip`` of them, which ``total`` still counts. ``noise``: one of
-    ``depth_noise.LEVELS``. Raises InputError for a source of another category, and where noise is asked for that only a
-    rendering can have."""
+    ``depth_noise.LEVELS``; ``by_object``: images of one object come together, but those in shards. Raises InputError
+    for a source of another category, and where noise is asked for that only a rendering can have."""
     images = kind_of(source).images
     if images is None:
         found = load_models(source, category, min(objects, views), "test", seed)
@@ -211,4 +216,4 @@ def load_views(
         return ViewSource(drawn, views, noise != "off", found.refused, found.models)
     if noise != "off":
         raise InputError(f"{source}: is rendered already; leave out --depth-noise, or render it with that")
-    return images(source, category, broken, skip)
+    return images(source, category, broken, skip, by_object)

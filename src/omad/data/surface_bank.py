@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import normalize
 
+from omad.common.errors import InputError
 from omad.objects.category import Category
 from omad.objects.model import SampledObject
 
@@ -49,7 +50,11 @@ class SurfaceBank:
     def from_models(
         cls, models: Sequence[SampledObject], category: Category, samples: int = 8192, seed: int = 0
     ) -> SurfaceBank:
-        """Sample every model; the same seed gives the same bank."""
+        """Sample every model; the same seed gives the same bank. Raises InputError for models of the other hand."""
+        for model in models if category.either_hand else ():
+            if (model.axes * category.axes).sum(1).min() < 0:
+                cure = "give a source of objects of its own, or their mirror images"
+                raise InputError(f"{model.name}: is of the other hand than {category.name}'s prior knows; {cure}")
         drawn = [m.surface_samples(samples, np.random.default_rng([seed, i])) for i, m in enumerate(models)]
         unit = category.metres_per_unit
 

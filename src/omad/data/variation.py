@@ -66,7 +66,7 @@ def mirrored(model: ObjectModel, category: Category) -> ObjectModel:
     image = [part.mirror for part in category.parts if part.mirror is not None]
     joints = np.array(image[1:]) - 1
     axes = mirrored_axes(model.axes[joints], category.turning)
-    back = (axes * [joint.axis for joint in category.joints]).sum(1) < 0
+    back = (axes * category.axes).sum(1) < 0
     limits = np.where(back[:, None], -model.limits[joints, ::-1], model.limits[joints])
     parts = tuple(model.parts[of].mirrored() for of in image)
     axes, pivots = np.where(back[:, None], -axes, axes), model.pivots[joints] * MIRROR_X

@@ -21,7 +21,7 @@ from .known import Known
 
 AsksAgain = Callable[[Observation, Known], Estimate]
 
-DOUBTFUL = 0.07
+HIGH_KEYPOINT_ERROR = 0.07
 """Expected keypoint error (geometric mean, category units; 0.03 is usual) above which the network is not to be
 trusted."""
 FEW_POINTS = 500
@@ -333,11 +333,11 @@ def _surface_doubts(observation: Observation, estimate: Estimate) -> Iterator[Ch
 def network_doubts(keypoint_std: np.ndarray, category: Category) -> Iterator[Check]:
     """Where the network itself does not trust its keypoints: ``keypoint_std`` (M,) metres."""
     unit, expected = category.metres_per_unit, float(np.exp(np.log(keypoint_std).mean()))
-    if not expected < DOUBTFUL * unit:
+    if not expected < HIGH_KEYPOINT_ERROR * unit:
         yield Check(
             "network",
             f"the network expects its keypoints to be {1000 * expected:.1f} mm off,"
-            f" under {1000 * DOUBTFUL * unit:.1f} mm is usual",
+            f" under {1000 * HIGH_KEYPOINT_ERROR * unit:.1f} mm is usual",
             "this view may not show which side is the front, or the object is of another category or badly cut out",
             "try another viewpoint, a better mask, or --gravity where the object stands upright",
         )

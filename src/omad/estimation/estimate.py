@@ -17,7 +17,6 @@ import numpy as np
 from omad.common.arrays import number, numbers
 from omad.common.errors import InputError
 from omad.common.files import write_json
-from omad.geometry.joint_kinds import Motion
 from omad.geometry.mesh import Mesh, convex_hull
 from omad.geometry.rigid import rigid_transform
 from omad.geometry.transforms import MIRROR_X
@@ -38,17 +37,18 @@ DOUBTFUL = 0.5
 
 
 def _joints(
-    specs: Sequence[tuple[str, str, tuple[float, float], Motion]],
-    placed: ObjectPose,
-    state_std: Sequence[float],
-    tail: Sequence[float],
+    category: Category, placed: ObjectPose, state_std: Sequence[float], tail: Sequence[float]
 ) -> tuple[JointEstimate, ...]:
-    """Of one object; ``specs`` are names, types, limits and what a unit of state does."""
+    """Of one object."""
+    specs = zip(category.joints, category.metric_limits.tolist(), strict=True)
     rows = zip(specs, placed.states.tolist(), state_std, placed.axes, placed.pivots, tail, strict=True)
     return tuple(
-        JointEstimate(name, kind, state, std, limits, axis, pivot if motion.turns else None, motion, power)
-        for (name, kind, limits, motion), state, std, axis, pivot, power in rows
-    )
+        JointEstimate(
+            joint.name, joint.type, state, std, (low, high), axis, pivot if joint.motion.turns else None, joint.motion,
+            power,
+        )
+        for (joint, (low, high)), state, std, axis, pivot, power in rows
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,10 +66,8 @@ class PoseEstimate(PosedObject):
         cls, category: Category, posed: Sequence[PosedObject], state_std: np.ndarray, tail: np.ndarray
     ) -> list[PoseEstimate]:
         """Each of B objects, with the joint states' standard deviations (B, J) and tails (B, J)."""
-        limits = [(low, high) for low, high in category.metric_limits.tolist()]
-        specs = [(j.name, j.type, pair, j.motion) for j, pair in zip(category.joints, limits, strict=True)]
         rows = zip(posed, state_std.tolist(), tail.tolist(), strict=True)
-        return [PoseEstimate(**vars(one), joints=_joints(specs, one.placed, *spread)) for one, *spread in rows]
+        return [PoseEstimate(**vars(one), joints=_joints(category, one.placed, *spread)) for one, *spread in rows]
 
     def reflected(self, turning: Sequence[bool]) -> Self:
         return replace(super().reflected(turning), joints=tuple(joint.mirrored() for joint in self.joints))

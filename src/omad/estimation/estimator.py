@@ -46,7 +46,7 @@ from .looks.answers import Answers, state_std
 from .looks.beginning import ANYWHERE, Beginning
 from .looks.either_hand import surer_hands
 from .looks.improbable import is_improbable, likelier, turned_frames
-from .looks.look import Look, put_rows, rows_of
+from .looks.look import Crowd, Look, rows_of, with_rows
 from .looks.mirror import Mirror
 from .looks.shown import Shown, check_observations
 from .looks.turned import HALF_TURNS, UNSURE, surer
@@ -81,9 +81,11 @@ class EstimatorConfig:
 
     def __post_init__(self) -> None:
         samples = tuple(self.samples) if isinstance(self.samples, tuple | list) else ()
-        counts = [*samples, self.near_samples, self.batch]
-        if not samples or not all(isinstance(count, Integral) and 1 <= count <= MOST for count in counts):
-            raise InputError(f"EstimatorConfig: samples, near_samples and batch are numbers from 1 to {MOST}")
+        counts = {"samples": samples, "near_samples": (self.near_samples,), "batch": (self.batch,)}
+        for name, each in counts.items():
+            if not each or not all(isinstance(count, Integral) and 1 <= int(count) <= MOST for count in each):
+                got = f"got {getattr(self, name)!r}"
+                raise InputError(f"EstimatorConfig: {name} takes whole numbers from 1 to {MOST}, {got}")
         object.__setattr__(self, "samples", samples)  # hashable
         if not isinstance(self.seed, Integral) or not 0 <= self.seed < SEEDS:
             raise InputError("EstimatorConfig: seed is a whole number from 0, below 2^64")
@@ -110,7 +112,7 @@ class Estimator:
     ) -> None:
         """``refine`` takes the place of least squares, for comparison. Without a ``confidence``, answers have no
         probability, and their joints the least squares' own standard deviations. Estimates take their meshes from
-        ``surfaces``; without, they are hulls of keypoints. Raises InputError where ``config`` is none."""
+        ``surfaces``; without, they are hulls of keypoints. Raises InputError where ``config`` is no EstimatorConfig."""
         if not isinstance(config, EstimatorConfig | None):
             raise InputError(f"config: is {type(config).__name__}; give an EstimatorConfig, EstimatorConfig.fast() say")
         work_in_forks()
@@ -249,68 +251,76 @@ class Estimator:
     def _of_one_hand(self, observations: Sequence[Observation], known: Known, begin: Beginning) -> list[Estimate]:
         config, watch, near, rig = self.config, Stopwatch(self.device), begin.near, begin.rig
         looks = config.samples if near is None else (config.near_samples,)
-        size = self.net.backbone.config.points
-        seed = (config.seed + begin.choice) % SEEDS
+        size, seed = self.net.backbone.config.points, (config.seed + begin.choice) % SEEDS
         shown = Shown.of(observations, size, sum(looks), seed, self.category, self.device)
-        start = None if near is None else near.start(self.category, shown.clouds)
         level = known.levelling(shown.clouds, None if rig is None else rig.T_first_camera)
         given = begin.T_camera_base(self.category, shown.clouds)
-        frame = first_frame(shown.clouds.flatten(1, 2)) @ level if given is None else given
-        labels, crowd = self.net.tells_outside, None
-        seen = [self._look(shown.clouds[:, : looks[0]], frame, labels or len(looks) == 1)]
-        if labels and (crowded := shown.crowded(as_numpy(seen[0].part_logits))):
-            rows = torch.tensor(crowded, device=self.device)
-            said = self._look(shown.clouds[rows], frame[rows], labels=True).part_logits
-            cleaned = shown.without_outside(crowded, as_numpy(said), seed)
-            clouds = cleaned.clouds[rows]
-            again = first_frame(clouds.flatten(1, 2)) @ level[rows] if given is None else given[rows]
-            look = self._look(clouds[:, : looks[0]], again, labels=True)
-            # what is said of single points may be wrong: then the object is seen less surely without them
-            surer = torch.nonzero(look.expected_error < seen[0].of(rows).expected_error)[:, 0]
-            if len(surer):
-                crowd, rows = shown, rows[surer]
-                with_crowd = seen[0].of(rows)
-                shown = shown.with_rows_of(cleaned, rows.tolist())
-                seen[0].put(rows, look.of(surer))
+        shown, first, crowd = self._look_first(shown, looks, given, level, seed)
         watch.lap("network")
-        refined = self._refine(seen[0], start, known, near, rig)
+        start = None if near is None else near.start(self.category, shown.clouds)
+        last, refined = first, self._refine(first, start, known, near, rig)
         watch.lap("refinement")
-        for first, count in zip(accumulate(looks), looks[1:], strict=False):
+        for done, count in zip(accumulate(looks), looks[1:], strict=False):
             start = refined.state
-            clouds = shown.clouds[:, first : first + count]
-            seen.append(self._look(clouds, start.T_camera_base, labels=first + count == sum(looks)))
+            clouds = shown.clouds[:, done : done + count]
+            last = self._look(clouds, start.T_camera_base, labels=done + count == sum(looks))
             watch.lap("network")
-            refined = self._refine(seen[-1], start, known, near, rig)
+            refined = self._refine(last, start, known, near, rig)
             watch.lap("refinement")
         if begin.is_anywhere:
             if crowd is not None and len(looks) > 1:
-                shown = self._look_at_crowd(crowd, with_crowd, rows, shown, seen[-1], refined, known)
-            self._look_turned(shown, seen[-1], refined, known)
+                shown, last, refined = self._look_at_crowd(crowd, shown, last, refined, known)
+            last, refined = self._look_turned(shown, last, refined, known)
             watch.lap("network")
         if self.net.own_states and known.is_nothing and rig is None:
-            own, prior = seen[-1].state.joint_states, self.net.prior
-            refined = leaning(refined, own, self.net.own_states, prior, seen[-1].targets)
-        return self.answers(shown, seen, refined, watch.shares(len(observations)))
+            own, prior = last.state.joint_states, self.net.prior
+            refined = leaning(refined, own, self.net.own_states, prior, last.targets)
+        return self.answers(shown, first, last, refined, watch.shares(len(observations)))
+
+    def _look_first(
+        self, shown: Shown, looks: Sequence[int], given: Tensor | None, level: Tensor, seed: int
+    ) -> tuple[Shown, Look, Crowd | None]:
+        """The first of the ``looks``, in the frames ``given``, or in ``level`` ones around the clouds; where it finds
+        other things than the object, and sees that more surely without them, what is shown is without them."""
+        labels = self.net.tells_outside
+        frame = first_frame(shown.clouds.flatten(1, 2)) @ level if given is None else given
+        look = self._look(shown.clouds[:, : looks[0]], frame, labels or len(looks) == 1)
+        crowded = shown.crowded(as_numpy(look.part_logits)) if labels else []
+        if not crowded:
+            return shown, look, None
+        rows = torch.tensor(crowded, device=self.device)
+        said = self._look(shown.clouds[rows], frame[rows], labels=True).part_logits
+        cleaned = shown.without_outside(crowded, as_numpy(said), seed)
+        clouds = cleaned.clouds[rows]
+        frame = first_frame(clouds.flatten(1, 2)) @ level[rows] if given is None else given[rows]
+        without = self._look(clouds[:, : looks[0]], frame, labels=True)
+        # what is said of single points may be wrong: then the object is seen less surely without them
+        surer = torch.nonzero(without.expected_error < look.expected_error[rows])[:, 0]
+        if not len(surer):
+            return shown, look, None
+        rows = rows[surer]
+        crowd = Crowd(rows, shown, look.of(rows))
+        return shown.with_rows_of(cleaned, rows.tolist()), look.with_rows(rows, without.of(surer)), crowd
 
     def _look_at_crowd(
-        self, crowd: Shown, first: Look, rows: Tensor, shown: Shown, last: Look, refined: Refined, known: Known
-    ) -> Shown:
-        """Of the clouds ``rows`` that points were left out of, look again at all of their points, ``crowd``, as the
-        ``first`` look at these says. Where that answer is surer than the ``last``, put it in place of those given."""
-        start = self._refine(first, None, known, None).state
-        again = self._look(crowd.clouds[rows, -last.samples :], start.T_camera_base, labels=True)
+        self, crowd: Crowd, shown: Shown, last: Look, refined: Refined, known: Known
+    ) -> tuple[Shown, Look, Refined]:
+        """Of the clouds that points were left out of, look again at all of their points. Where that answer is surer
+        than the ``last``, it takes its place."""
+        start = self._refine(crowd.look, None, known, None).state
+        again = self._look(crowd.shown.clouds[crowd.rows, -last.samples :], start.T_camera_base, labels=True)
         whole = self._refine(again, start, known, None)
-        better = torch.nonzero(again.expected_error < last.expected_error[rows])[:, 0]
-        last.put(rows[better], again.of(better))
-        put_rows(refined, rows[better], rows_of(whole, better))
-        return shown.with_rows_of(crowd, rows[better].tolist())
+        better = torch.nonzero(again.expected_error < last.expected_error[crowd.rows])[:, 0]
+        rows = crowd.rows[better]
+        shown = shown.with_rows_of(crowd.shown, rows.tolist())
+        return shown, last.with_rows(rows, again.of(better)), with_rows(refined, rows, rows_of(whole, better))
 
-    def _look_turned(self, shown: Shown, last: Look, refined: Refined, known: Known) -> None:
-        """Of clouds that the ``last`` look is unsure of, look again in its frame turned by half about each axis, and
-        where one of these answers is surer, put it in place of those given."""
+    def _look_turned(self, shown: Shown, last: Look, refined: Refined, known: Known) -> tuple[Look, Refined]:
+        """Of clouds that the ``last`` look is unsure of, look again in its frame turned by half about each axis. Where
+        one of these answers is surer, it takes the place of those given."""
         rows = torch.nonzero(last.expected_error > UNSURE)[:, 0]
         if not len(rows):
-            return
+            return last, refined
         clouds = shown.clouds[rows].repeat_interleave(len(HALF_TURNS), 0)
         frame = (refined.state.T_camera_base[rows, None] @ HALF_TURNS.to(clouds)).flatten(0, 1)
         first = self._look(clouds[:, : self.config.samples[0]], frame, labels=False)
@@ -319,9 +329,8 @@ class Estimator:
         turned = self._refine(again, start, known, None)
         before, now = refined.state.T_camera_base[rows], turned.state.T_camera_base
         better, best = surer(last.expected_error[rows], before, again.expected_error, now)
-        chosen = better * len(HALF_TURNS) + best
-        last.put(rows[better], again.of(chosen))
-        put_rows(refined, rows[better], rows_of(turned, chosen))
+        rows, chosen = rows[better], better * len(HALF_TURNS) + best
+        return last.with_rows(rows, again.of(chosen)), with_rows(refined, rows, rows_of(turned, chosen))
 
     def _look(self, clouds: Tensor, frame: Tensor, labels: bool) -> Look:
         """Run the network in ``frame`` (B, 4, 4) on all samples of each cloud and average its answers."""
@@ -370,7 +379,7 @@ class Estimator:
         kept = self._kept.get(views)
         if known.is_nothing and kept is not None and kept.config is config:
             return kept
-        limits = torch.tensor([j.limits for j in self.category.joints], device=self.device)
+        limits = torch.as_tensor(self.category.limits, dtype=torch.float32, device=self.device)
         refiner = Refiner(prior.repeated(views), limits, config, known.free(self.category, prior.basis_size))
         if known.is_nothing:
             self._kept[views] = refiner

@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 import torch
 
-from omad.estimation.confidence.model import RIGHT_ANGLE, RIGHT_SHARE
+from omad.estimation.confidence.model import right_within
 from omad.geometry.rigid import carry_each
 from omad.geometry.transforms import line_distance, point_to_line, rotation_angle, vector_angle
 from omad.objects.category import Category
@@ -41,8 +41,7 @@ class PoseErrors:
 
     def right(self, category: Category, diagonal: float) -> bool:
         """Whether the answer is of use: every joint state within 10 degrees, or 10 % of the object's ``diagonal``."""
-        most = np.where(category.turning, RIGHT_ANGLE, RIGHT_SHARE * diagonal)
-        return not self.missing and bool((self.joint_state <= most).all())
+        return not self.missing and bool((self.joint_state <= right_within(category, diagonal)).all())
 
     def within(self, angle: float, length: float) -> bool:
         """Every part within ``angle`` radians and ``length`` metres."""

@@ -174,8 +174,8 @@ class OmadPrior(nn.Module):
         slope = slope.unflatten(1, (-1, 6))
         tangent = (torch.eye(3).to(beta) - axes[..., None] * axes[..., None, :]) / length[..., None]
         pivots = torch.cat([slope[:, :, 3:], self.pivot_basis.expand(len(beta), -1, -1, -1)], -1)
-        turning = nn.functional.pad(tangent @ slope[:, :, :3], (0, self.basis_size - self.shape_size))
-        return JointParameters(turning, pivots * self.turning[:, None, None])
+        directions = nn.functional.pad(tangent @ slope[:, :, :3], (0, self.basis_size - self.shape_size))
+        return JointParameters(directions, pivots * self.turning[:, None, None])
 
     def _joint_layers(self, hidden: Tensor) -> Tensor:
         """(B, J, 6) axes that are not normalised yet and pivots, from the hidden layer before its ReLU."""

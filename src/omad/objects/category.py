@@ -90,9 +90,10 @@ class JointSpec:
                 raise ValueError(f"{field}: is {direction}, which has no direction; give another one")
         _check_name(self.name)
         if not self.limits[0] < self.limits[1]:
-            raise ValueError("limits: is an empty range; give the low end first, and a higher one")
-        if max(map(abs, (*self.limits, self.pitch or 0.0))) > LARGEST:
-            raise ValueError(f"limits: or the pitch is beyond {LARGEST:g}; no joint goes so far")
+            raise ValueError(f"limits: {list(self.limits)} is an empty range; give the low end first, and a higher one")
+        for field, numbers in (("limits", self.limits), ("pitch", (self.pitch or 0.0,))):
+            if max(map(abs, numbers)) > LARGEST:
+                raise ValueError(f"{field}: goes beyond {LARGEST:g}, which no joint does; check its unit")
         try:
             turns = self.motion.turns
         except ValueError as error:
@@ -232,9 +233,26 @@ class Category:
         return np.array([joint.motion.state_unit(self.metres_per_unit) for joint in self.joints])
 
     @property
+    def axes(self) -> np.ndarray:
+        """(J, 3) as the spec has them, unit vectors of the canonical frame."""
+        axes = np.array([joint.axis for joint in self.joints], dtype=np.float64).reshape(-1, 3)
+        return axes / np.linalg.norm(axes, axis=1, keepdims=True)
+
+    @property
+    def limits(self) -> np.ndarray:
+        """(J, 2) radians or category units."""
+        return np.array([joint.limits for joint in self.joints], dtype=np.float64).reshape(-1, 2)
+
+    @property
     def metric_limits(self) -> np.ndarray:
         """(J, 2) radians or metres."""
-        return np.array([joint.limits for joint in self.joints]).reshape(-1, 2) * self.state_units[:, None]
+        return self.limits * self.state_units[:, None]
+
+    def tangent_units(self, beta_size: int) -> np.ndarray:
+        """(6 + J + D,) factors from a step of the unknowns (turn, move, joint states, beta of ``beta_size`` D) in
+        category units to one in radians and metres."""
+        place = [1.0] * 3 + [self.metres_per_unit] * 3
+        return np.concatenate([place, self.state_units, np.ones(beta_size)])
 
     @property
     def num_keypoints(self) -> int:
@@ -263,9 +281,7 @@ class Category:
 
     def signs_of_images(self, joints: np.ndarray) -> np.ndarray:
         """(J,) of the states in the plane x = 0 of joints whose images are ``joints`` (J,): 1 or -1 where axes are."""
-        axes = np.array([joint.axis for joint in self.joints], float)
-        axes /= np.linalg.norm(axes, axis=1, keepdims=True)
-        return (mirrored_axes(axes, self.turning) * axes[joints]).sum(1)
+        return (mirrored_axes(self.axes, self.turning) * self.axes[joints]).sum(1)
 
 
 def check_unit(metres_per_unit: float) -> None:

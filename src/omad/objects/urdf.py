@@ -19,18 +19,18 @@ COUPLED = "_slide"
 MESHES = "meshes"
 
 
-def write_urdf(model: ObjectModel, path: Path | str, collisions: Sequence[Sequence[Mesh]] | None = None) -> Path:
+def write_urdf(model: ObjectModel, path: Path | str) -> Path:
     """Write ``model`` to ``path`` (a ``.urdf`` file, or a folder: ``<folder>/model.urdf``) -> the file. Meshes go to
-    ``meshes/`` beside the file, as OBJ. Each file is written whole or not at all, the URDF last. ``collisions`` are the
-    bodies of each part that simulators take; without, they take its mesh."""
+    ``meshes/`` beside the file, as OBJ. Each file is written whole or not at all, the URDF last."""
     path = Path(path)
     file = path if path.suffix.lower() == ".urdf" else path / "model.urdf"
-    write_text(file, xml_text(urdf_robot(model, file, collisions)))
+    write_text(file, xml_text(urdf_robot(model, file)))
     return file
 
 
 def urdf_robot(model: ObjectModel, file: Path, collisions: Sequence[Sequence[Mesh]] | None = None) -> Element:
-    """What ``write_urdf`` writes to ``file``, whose meshes it has written."""
+    """What belongs into ``file``, whose meshes are written. ``collisions`` are the bodies of each part that simulators
+    take; without, they take its mesh."""
     robot = Element("robot", name=model.name)
     # a joint that only slides has no place of its own: its frame stays at the canonical origin
     places = np.concatenate([np.zeros((1, 3)), model.pivots])

@@ -10,7 +10,7 @@ import numpy as np
 from omad.common.errors import InputError
 from omad.common.files import write_atomic
 from omad.estimation.estimate import Estimate
-from omad.geometry.rigid import carry
+from omad.geometry.rigid import carry, diagonal
 from omad.sensing.observation import Observation
 
 from .frame import CAMERA, Frame
@@ -86,7 +86,7 @@ def log_frame(
         shape = {"vertex_positions": carry(T, mesh.vertices), "triangle_indices": mesh.faces}
         shown = rr.Mesh3D(**shape, vertex_colors=np.tile(colour, (len(mesh.vertices), 1)))
         log(f"camera/parts/{spec.name}", shown)
-    length = AXIS_LENGTH * np.linalg.norm(np.ptp(estimate.keypoints, axis=0))
+    length = AXIS_LENGTH * diagonal(estimate.keypoints)
     for index, joint in enumerate(estimate.joints):
         # a slide runs nowhere in particular: its arrow starts in the middle of its part
         middle = estimate.keypoints[part_of == index + 1].mean(0)

@@ -116,8 +116,7 @@ class Observation:
 
             given, far = without_beyond(mask, depth)
             mask = with_thin_parts(given, depth)
-        chosen = region_of(depth.shape, mask, box)
-        chosen, seen_at = chosen & measured, None
+        chosen = region_of(depth.shape, mask, box) & measured
         if (count := np.count_nonzero(chosen)) < MIN_POINTS:
             lie = f"depth: {count} of {np.count_nonzero(depth)} measured pixels lie inside mask and box"
             raise NothingSeen(f"{lie}, at least {MIN_POINTS} are needed; check mask, box and the camera's range")
@@ -135,22 +134,34 @@ class Observation:
         pixels = pixels_at(place, camera.width)
         if len(pixels) < count or segment is not None:
             chosen = _mask_of(pixels, depth, every)
+        points = np.ascontiguousarray(points, dtype=np.float32)
+        seen = cls(points, depth, camera, pixels, chosen, warnings, color, every=every)
         if camera.distortion is not None:
-            color = None if color is None else np.stack([camera.rectified(color[..., i]) for i in range(3)], -1)
-            depth, chosen, camera = camera.rectified(depth), camera.rectified(chosen), camera.pinhole
-            seen_at, pixels = pixels, np.rint(camera.project(points))
-            kept = np.all((pixels >= 0) & (pixels < (camera.width, camera.height)), axis=1)  # the corners may be lost
-            if (count := np.count_nonzero(kept)) < MIN_POINTS:
-                lie = f"distortion: without it {count} of {len(points)} points lie within the image"
-                raise NothingSeen(f"{lie}, at least {MIN_POINTS} are needed; check its coefficients")
-            if (lost := 1 - count / len(points)) > LOST:
-                where = "outside of the image as it is without its lens, and were left out"
-                warnings += (f"{lost:.0%} of the points lie {where}; turn the camera towards the object",)
-            points, pixels, seen_at = points[kept], pixels[kept].astype(int), seen_at[kept]
-        warnings = tuple(intrinsics_doubts(camera)) + odd_mask(mask, given) + far + warnings
-        points, seen_in = np.ascontiguousarray(points, dtype=np.float32), {"every": every, "seen_at": seen_at}
-        seen = cls(points, depth, camera, pixels, chosen, warnings, color, **seen_in)
+            seen = seen._without_lens()
+        told = (*intrinsics_doubts(camera.pinhole), *odd_mask(mask, given), *far)
+        seen = replace(seen, warnings=told + seen.warnings)
         return seen.without_strays() if drop_flying else seen
+
+    def _without_lens(self) -> Self:
+        """As the image is undistorted, with ``seen_at`` where its points were; those that are not in it are left out.
+        Raises NothingSeen for fewer than 50."""
+        assert self.camera is not None
+        assert self.depth is not None
+        assert self.mask is not None
+        assert self.pixels is not None
+        camera, straight, color, warnings = self.camera.pinhole, self.camera.rectified, self.color, self.warnings
+        color = None if color is None else np.stack([straight(color[..., i]) for i in range(3)], -1)
+        pixels = np.rint(camera.project(self.points))
+        kept = np.all((pixels >= 0) & (pixels < (camera.width, camera.height)), axis=1)  # the corners may be lost
+        if (count := np.count_nonzero(kept)) < MIN_POINTS:
+            lie = f"distortion: without it {count} of {len(kept)} points lie within the image"
+            raise NothingSeen(f"{lie}, at least {MIN_POINTS} are needed; check its coefficients")
+        if (lost := 1 - count / len(kept)) > LOST:
+            where = "outside of the image as it is without its lens, and were left out"
+            warnings += (f"{lost:.0%} of the points lie {where}; turn the camera towards the object",)
+        seen = replace(self, points=self.points[kept], pixels=pixels[kept].astype(int), seen_at=self.pixels[kept])
+        depth, mask = straight(self.depth), straight(self.mask)
+        return replace(seen, depth=depth, camera=camera, mask=mask, warnings=warnings, color=color)
 
     def part(self, index: np.ndarray) -> Self:
         """Some of its points, by their indices or (N,) bool. Raises NothingSeen for fewer than 50."""

@@ -65,7 +65,7 @@ class HeldBack:
     @torch.no_grad()
     def answers(self, net: OmadNet) -> HeldBackAnswers:
         """By two looks, as the estimator has them."""
-        limits = torch.tensor([joint.limits for joint in net.category.joints]).to(self.views.states)
+        limits = torch.as_tensor(net.category.limits).to(self.views.states)
         refiner, frame, start = Refiner(net.prior, limits), first_frame(self.views.points), None
         for _ in range(2):
             said = net(to_input_frame(self.views.points, frame), labels=False)

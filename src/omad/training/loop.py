@@ -116,10 +116,9 @@ def train(
     folder in which another process trains. Ctrl-C and SIGTERM end it after the step at hand, once the state is saved.
     Another number of processes may go on with it. WorkError where one of them ends.
     """
-    if not processes.first:
-        return _train(model, loss_terms, schedule, folder, config, check, processes)
-    make_folder(folder)
-    with only_one(folder, "a training"):
+    if processes.first:
+        make_folder(folder)
+    with only_one(folder, "a training") if processes.first else nullcontext():
         return _train(model, loss_terms, schedule, folder, config, check, processes)
 
 
@@ -147,17 +146,7 @@ def _train(
     state = processes.from_first(lambda: _read_state(state_path, identity) if state_path.exists() else None)
     if state is not None:
         with readable(state_path, "a training state", ANOTHER):
-            for name, part in learned.items():
-                part.load_state_dict(state[name])
-            step, seconds = int(state["step"]), float(state["seconds"])
-            if "dropout" in state:  # a state of an earlier version has none
-                _set_dropout_state(state["dropout"], device)
-            generators = [state["generator"], *state.get("generators", [])]
-            if processes.rank < len(generators):
-                generator.set_state(generators[processes.rank].cpu().clone())  # a part of another tensor would crash it
-            else:
-                generator = processes.generator(schedule.seed, device, step)
-
+            step, seconds, generator = _restore(state, learned, schedule.seed, device, processes)
         if processes.first:
             todo = "has ended before" if _progress(step, seconds, schedule) >= 1 else "goes on"
             print(f"{folder}: the training {todo}, after {step} steps", file=sys.stderr)
@@ -183,16 +172,7 @@ def _train(
         while (progress := _progress(step, seconds, schedule)) < 1 and not asked:
             for group in optimizer.param_groups:
                 group["lr"] = schedule.learning_rate * _rate(progress)
-            optimizer.zero_grad(set_to_none=True)
-            parts = []
-            for _ in range(processes.parts):
-                terms = loss_terms(model, generator)
-                values = torch.stack(list(terms.values()))
-                (values.sum() / processes.parts).backward()
-                parts.append(values.detach())
-            processes.average([p.grad for p in trained if p.grad is not None])
-            nn.utils.clip_grad_norm_(trained, 10.0)
-            optimizer.step()
+            names, means = _descend(model, loss_terms, generator, optimizer, processes)
             step += 1
             _average(averaged, model, min(schedule.average, (1 + step) / (10 + step)))
             now = time.monotonic()
@@ -201,8 +181,7 @@ def _train(
             seconds, due, asked = processes.agree(*own, stop.number)
             bar.update()
             if step % schedule.log_steps == 0:
-                means = processes.mean(torch.stack(parts).mean(0)).tolist()
-                values = dict(zip(terms, means, strict=True))
+                values = dict(zip(names, processes.mean(means).tolist(), strict=True))
                 if not math.isfinite(sum(values.values())):
                     raise WorkError(f"the loss is not finite at step {step} ({values}); lower the learning rate")
                 progress = _progress(step, seconds, schedule)
@@ -223,6 +202,45 @@ def _train(
         if asked:
             stop.number = int(asked)
     return averaged
+
+
+def _restore(
+    state: dict[str, Any], learned: dict[str, Any], seed: int, device: torch.device, processes: Processes
+) -> tuple[int, float, Generator]:
+    """Put a state into what it is of; its step, its seconds, and a generator that goes on as its own would have."""
+    for name, part in learned.items():
+        part.load_state_dict(state[name])
+    step, seconds = int(state["step"]), float(state["seconds"])
+    if "dropout" in state:  # a state of an earlier version has none
+        _set_dropout_state(state["dropout"], device)
+    generators = [state["generator"], *state.get("generators", [])]
+    if processes.rank >= len(generators):
+        return step, seconds, processes.generator(seed, device, step)
+    generator = processes.generator(seed, device)
+    generator.set_state(generators[processes.rank].cpu().clone())  # a part of another tensor would crash it
+    return step, seconds, generator
+
+
+def _descend(
+    model: M,
+    loss_terms: Callable[[M, Generator], Terms],
+    generator: Generator,
+    optimizer: torch.optim.Optimizer,
+    processes: Processes,
+) -> tuple[list[str], Tensor]:
+    """One step of the optimiser; the terms' names, and their means (T,) over this process's parts of the batch."""
+    optimizer.zero_grad(set_to_none=True)
+    names, parts = [], []
+    for _ in range(processes.parts):
+        terms = loss_terms(model, generator)
+        names, values = list(terms), torch.stack(list(terms.values()))
+        (values.sum() / processes.parts).backward()
+        parts.append(values.detach())
+    trained = [p for group in optimizer.param_groups for p in group["params"]]
+    processes.average([p.grad for p in trained if p.grad is not None])
+    nn.utils.clip_grad_norm_(trained, 10.0)
+    optimizer.step()
+    return names, torch.stack(parts).mean(0)
 
 
 def _check_finite(trained: Sequence[nn.Parameter], step: int) -> None:

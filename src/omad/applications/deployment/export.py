@@ -8,11 +8,13 @@ from typing import Any
 
 import numpy as np
 
+from omad.common.errors import InputError
 from omad.common.files import make_folder, write_json, write_text
 from omad.estimation.estimator import Estimator, EstimatorConfig
 from omad.estimation.looks import relief, shown, turned
 from omad.model import network_input
 from omad.model.fitting.energy import ShapePrior
+from omad.model.fitting.refinement import Refiner
 from omad.model.fronts import image
 from omad.model.fronts.hands import shipped_hand_net
 from omad.model.omadnet import OmadNet
@@ -29,19 +31,23 @@ BESIDE = {"choice": choice, "given": given, "relief": relief, "front_image": ima
 
 
 def deploy(estimator: Estimator, folder: Path) -> list[str]:
-    """Write the program that answers as the ``estimator`` does; returns the names of its files. Raises
-    InputError where ONNX's exporter is not installed."""
+    """Write the program that answers as the ``estimator`` does, in place of another in the folder; returns the names of
+    its files. Raises InputError where ONNX's exporter is not installed, and for an estimator that leaves out the
+    keypoints' confidence, or does not refine by least squares."""
+    if not estimator.config.confidence or estimator.refine is not Refiner.__call__:
+        raise InputError("estimator: leaves out confidence, or least squares; the program has both")
     make_folder(folder)
-    net = copy.deepcopy(estimator.net).cpu().eval()
-    network_graph(net).save(folder / NETWORK)
-    write_json(folder / NUMBERS, numbers(net, estimator.config, estimator.hand), indent=1)
-    energy_graph(net.prior).save(folder / ENERGY)  # whose numbers are doubles from here on
-    graphs, hands = [NETWORK, ENERGY], shipped_hand_net()
+    net, hands = copy.deepcopy(estimator.net).cpu().eval(), shipped_hand_net()
+    told, graphs = numbers(net, estimator.config, estimator.hand), {NETWORK: network_graph(net)}
+    graphs[ENERGY] = energy_graph(net.prior)  # whose numbers are doubles from here on
     if estimator.hand and net.category.name in hands.names:
-        hand_graph(hands, net.category.name).save(folder / HAND)
-        graphs.append(HAND)
+        graphs[HAND] = hand_graph(hands, net.category.name)
     else:
         (folder / HAND).unlink(missing_ok=True)  # of another deployment: the program takes what is there
+    # all of it is made before anything is written, as graphs of one and numbers of another would answer wrongly
+    for name, graph in graphs.items():
+        graph.save(folder / name)
+    write_json(folder / NUMBERS, told, indent=1)
     # not imported, as that takes ONNX Runtime
     source = Path(__file__).with_name("program.py").read_text(encoding="utf-8")
     for name, module in BESIDE.items():
@@ -65,7 +71,7 @@ def numbers(net: OmadNet, config: EstimatorConfig, hand: Sequence[float]) -> dic
         "part_of_keypoint": list(category.part_of_keypoint),
         "metres_per_unit": category.metres_per_unit,
         "state_units": np.asarray(category.state_units).tolist(),
-        "limits": [list(joint.limits) for joint in category.joints],
+        "limits": category.limits.tolist(),
         "points": net.backbone.config.points,
         "tells_outside": net.tells_outside,
         "own_states": net.own_states,

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from omad.common.batches import batched, progress
+from omad.common.batches import batched
 from omad.common.errors import InputError, shown
 from omad.data.rendering.standard_views import View
 from omad.estimation.estimate import Estimate
@@ -89,9 +89,9 @@ def _thumbnail(thing: Seen, estimate: Estimate) -> bytes:
     return model_thumbnail(model.mirrored() if thing.mirrored else model)
 
 
-def seen_views(views: Iterable[View], total: int, source: str, refused: list[dict[str, str]]) -> Iterator[Seen]:
-    """Observations of rendered views; those that show too little are added to ``refused``."""
-    for number, view in enumerate(progress(views, total)):
+def seen_views(views: Iterable[tuple[int, View]], source: str, refused: list[dict[str, str]]) -> Iterator[Seen]:
+    """Observations of rendered views with their numbers; those that show too little are added to ``refused``."""
+    for number, view in views:
         try:
             observation = view.observation()
         except InputError as error:

@@ -117,7 +117,7 @@ def _reply(read: _Read, found: Found | Exception) -> Reply:
 
 
 def _told(read: _Read, found: Found) -> Reply:
-    found.estimate.seconds["read"] = read.seconds
+    found = found.with_seconds(read=read.seconds)
     if found.none or read.asked.format == "json":
         record = found.none_of_them() if found.none else found.to_dict()
         checks = [{key: in_fields(told) for key, told in check.items()} for check in record["checks"]]

@@ -23,7 +23,7 @@ from omad.common.arrays import as_doubles
 from omad.common.errors import InputError, shown
 from omad.estimation.categories.late import AnyEstimator
 from omad.estimation.checks import Check, depth_doubts, no_surer, warned
-from omad.estimation.confidence.model import RIGHT_ANGLE, RIGHT_SHARE
+from omad.estimation.confidence.model import right_within
 from omad.estimation.estimate import Estimate
 from omad.estimation.known import NOTHING_KNOWN, Known, Near, check_known
 from omad.estimation.looks.shown import check_observations
@@ -75,8 +75,12 @@ class TrackerConfig:
     """... and by no more than this RMS keypoint distance (category units)."""
 
     def __post_init__(self) -> None:
-        if not (0 < self.gate < 1 and 0 <= self.jitter <= 1 and self.motion.decay > 0):
-            raise InputError("TrackerConfig: gate and jitter are shares of one, gate above 0, and motion.decay above 0")
+        if not 0 < self.gate < 1:
+            raise InputError(f"TrackerConfig: gate is a share of one, above 0 and below 1, got {self.gate}")
+        if not 0 <= self.jitter <= 1:
+            raise InputError(f"TrackerConfig: jitter is a share of one, from 0 to 1, got {self.jitter}")
+        if not self.motion.decay > 0:
+            raise InputError(f"TrackerConfig: motion.decay is above 0, got {self.motion.decay}")
 
 
 @dataclass(frozen=True)
@@ -321,8 +325,7 @@ def _of_one_hand(known: Known, last: Estimate | None) -> Known:
 
 def _still_right(estimate: Estimate) -> float:
     """How likely no joint has moved farther meanwhile than a right answer may be off, by its covariance."""
-    size = diagonal(estimate.canonical_keypoints)
-    most = np.where(estimate.category.turning, RIGHT_ANGLE, RIGHT_SHARE * size)
+    most = right_within(estimate.category, diagonal(estimate.canonical_keypoints))
     std = np.sqrt(estimate.covariance.diagonal()[6 : 6 + len(most)])
     return float(chi2.cdf(np.square(most / np.maximum(std, 1e-9)), 1).prod())
 

@@ -76,8 +76,7 @@ def check_family(path: Path | str, models: Sequence[ObjectModel], category: Cate
 
 
 def _unlike(model: ObjectModel, category: Category) -> str | None:
-    expected = np.array([joint.axis for joint in category.joints])
-    along = (model.axes * expected).sum(1) / np.linalg.norm(expected, axis=1)
+    along = (model.axes * category.axes).sum(1)
     for joint, cosine in zip(category.joints, along, strict=True):
         if cosine < LEAST_ALONG:
             return f"the axis of {joint.name} is {np.degrees(np.arccos(max(cosine, -1))):.0f} degrees off the spec's"

@@ -6,20 +6,19 @@ from itertools import product
 from typing import Literal
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from omad.data.procedural import generate
 from omad.data.procedural.shapes import box
 from omad.geometry.camera import STANDARD_CAMERA, Camera
 from omad.geometry.mesh import Mesh, merge_meshes
 from omad.geometry.rigid import box as bounds
-from omad.geometry.rigid import carry, rigid
+from omad.geometry.rigid import carry, diagonal
 from omad.objects.category_file import get_category
 
 from .depth_noise import NoiseLevel, add_noise
 from .rasteriser import rasterise
 from .spoils.scenes import in_front
-from .spoils.things import simple_thing
+from .spoils.things import simple_thing, standing
 from .viewpoints import pose_before, random_states
 
 OBJECTS = (3, 6)
@@ -114,10 +113,11 @@ def draw_tabletop(
     count = int(rng.integers(*OBJECTS, endpoint=True))
     others = min(int(rng.binomial(count, OTHERS)), count // 2)
     things = [_of_category(str(rng.choice(list(categories))), split, largest, rng) for _ in range(count - others)]
-    sizes = [float(np.linalg.norm(np.ptp(thing.mesh.vertices, axis=0))) for thing in things]
+    sizes = [diagonal(thing.mesh.vertices) for thing in things]
     for _ in range(others):
-        mesh = _standing(simple_thing(rng), rng.uniform(0, 2 * np.pi), float(rng.choice(sizes)) * rng.uniform(0.3, 1))
-        things.append(_Thing(None, np.zeros(0), mesh))
+        mesh, turn = simple_thing(rng), rng.uniform(0, 2 * np.pi)
+        size = float(rng.choice(sizes)) * rng.uniform(0.3, 1)
+        things.append(_Thing(None, np.zeros(0), standing(mesh, turn, size / diagonal(mesh.vertices))))
     placed = [
         thing.mesh.warped(lambda vertices, at=at: vertices + at)
         for thing, at in zip(things, _places(things, rng), strict=True)
@@ -133,19 +133,10 @@ def _of_category(name: str, split: Literal["train", "test"], largest: float, rng
     model = generate(category, int(rng.integers(2**31)), split, int(rng.integers(2**31)))
     states = random_states(model.limits, category.joints, rng)
     mesh = merge_meshes(model.posed(states))
-    size = float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
+    size = diagonal(mesh.vertices)
     turn = rng.uniform(-category.views.azimuth, category.views.azimuth)
     shrunk = np.where(category.turning, 1.0, min(largest / size, 1.0))
-    return _Thing(name, states * shrunk, _standing(mesh, turn, min(size, largest)))
-
-
-def _standing(mesh: Mesh, turn: float, diagonal: float) -> Mesh:
-    """Turned about y, its foot at y = 0 and its middle on the y axis; ``diagonal`` is that of its box before."""
-    size = diagonal / float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
-    mesh = mesh.carried(rigid(Rotation.from_rotvec([0, turn, 0]).as_matrix(), np.zeros(3)))
-    low, high = bounds(mesh.vertices)
-    foot = np.array([(low[0] + high[0]) / 2, low[1], (low[2] + high[2]) / 2])
-    return mesh.warped(lambda vertices: (vertices - foot) * size)
+    return _Thing(name, states * shrunk, standing(mesh, turn, min(size, largest) / size))
 
 
 def _places(things: Sequence[_Thing], rng: np.random.Generator) -> list[np.ndarray]:
@@ -220,7 +211,7 @@ def _seen(
 def _framing(points: np.ndarray, camera: Camera, elevation: float, azimuth: float) -> np.ndarray:
     """T_camera_world (4, 4) of the camera from which ``points`` (V, 3) just fill the image."""
     centre = bounds(points).mean(0)
-    near, far = 0.0, 20 * float(np.linalg.norm(np.ptp(points, axis=0)))
+    near, far = 0.0, 20 * diagonal(points)
     for _ in range(30):
         distance = (near + far) / 2
         x, y, z = carry(pose_before(distance, azimuth, elevation, centre), points).T

@@ -19,6 +19,7 @@ With clutter the views are of scenes as cameras see them (``spoils``); what is w
 Every file depends on the arguments alone: not on the number of processes, nor on interruptions.
 """
 
+import hashlib
 import json
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
@@ -32,7 +33,7 @@ import torch
 
 from omad.common import batches
 from omad.common.errors import InputError
-from omad.common.files import write_json
+from omad.common.files import stamp, write_json
 from omad.common.incoming import decoded, is_file, read_image, read_json, read_record
 from omad.common.processes.workers import helpers
 from omad.common.stderr import tell
@@ -75,6 +76,8 @@ class ViewFolder:
     """Of its objects; None: they have as many joints as they say."""
     left_out: list[dict[str, str]] = field(default_factory=list)
     """{"name": of the view or object, "reason": one line}; grows while views are read."""
+    by_object: bool = False
+    """Views of one object come together: not in the order they were drawn."""
     told: list[str] = field(default_factory=list)
     """What a person was told of all views."""
 
@@ -83,6 +86,13 @@ class ViewFolder:
 
     def __iter__(self) -> Iterator[View]:
         return self.after(0)
+
+    @property
+    def stamp(self) -> str:
+        """Another one when a view was written anew."""
+        files = (self._stem(view_seed(i, len(self.objects), self.seed)).with_suffix(".json") for i in range(self.views))
+        told = "\n".join(stamp(file) if file.is_file() else "" for file in files)
+        return hashlib.sha256(told.encode()).hexdigest()
 
     def after(self, skip: int) -> Iterator[View]:
         """Without the first so many, which are not read where none may be broken."""
@@ -98,7 +108,10 @@ class ViewFolder:
         yield from self._placed(self._views(truths, first))
 
     def _views(self, truths: dict[int, ObjectTruth], first: int) -> Iterator[View]:
-        for index in range(first, self.views):
+        order, count = range(self.views), len(self.objects)
+        if self.by_object:
+            order = [index for number in range(count) for index in range(number, self.views, count)]
+        for index in order[first:]:
             seed, view = view_seed(index, len(self.objects), self.seed), None
             if (truth := truths.get(seed[1])) is None:
                 continue
@@ -120,8 +133,12 @@ class ViewFolder:
                 self.told.append(f"in {misplaced} of {whole} views a part is not where its pixels are; check {CHECK}")
                 tell(f"{self.path}: {self.told[0]}")
 
+    def _stem(self, seed: ViewSeed) -> Path:
+        """Of a view's files."""
+        return self.path / self.objects[seed[1]] / f"{seed[2]:05d}"
+
     def _read(self, truth: ObjectTruth, seed: ViewSeed) -> View:
-        stem = self.path / truth.name / f"{seed[2]:05d}"
+        stem = self._stem(seed)
         record = read_record(ViewRecord, stem.with_suffix(".json"), CURE)
         depth = read_depth(stem.with_suffix(".depth.png"), self.depth_scale)
         labels = read_image(file := stem.with_suffix(".labels.png"), file)

@@ -5,10 +5,14 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any, BinaryIO, cast
+from uuid import uuid4
 
 from omad.common.errors import InputError
-from omad.common.files import make_folder, one_line, write_atomic
+from omad.common.files import TEMPORARY, make_folder, one_line, stamp, write_atomic
 from omad.common.incoming import address_of
+
+OBJECT_STORES = {"s3", "gs", "gcs", "abfs", "az", "oss", "oci", "memory"}
+"""What fsspec calls file systems that have no renaming, and need none."""
 
 
 @dataclass(frozen=True)
@@ -32,9 +36,10 @@ class Store:
             return {entry.name for entry in os.scandir(self.place)} if os.path.isdir(self.place) else set()
         system, root = self._system
         try:
-            return {path.rsplit("/", 1)[-1] for path in system.ls(root, detail=False)}
+            names = {path.rsplit("/", 1)[-1] for path in system.ls(root, detail=False)}
         except FileNotFoundError:
             return set()
+        return {name for name in names if not name.startswith(TEMPORARY)}
 
     def has(self, name: str) -> bool:
         """Whether a file is there."""
@@ -47,8 +52,7 @@ class Store:
         """Another one when a file is written anew: its size and when it was written, as far as that is told. Raises
         OSError."""
         if self._address is None:
-            status = Path(self.place, name).stat()
-            return f"{status.st_size} {int(status.st_mtime)}"
+            return stamp(Path(self.place, name))
         system, root = self._system
         told = system.info(f"{root}/{name}")
         return " ".join(str(told.get(key)) for key in ("size", "mtime", "LastModified", "updated", "etag", "ETag"))
@@ -73,7 +77,11 @@ class Store:
             return
         system, root = self._system
         system.makedirs(root, exist_ok=True)
-        system.pipe_file(f"{root}/{name}", content)  # object stores show an object when all of it is there
+        if OBJECT_STORES.intersection([system.protocol] if isinstance(system.protocol, str) else system.protocol):
+            system.pipe_file(f"{root}/{name}", content)  # which show an object when all of it is there
+            return
+        system.pipe_file(temporary := f"{root}/{TEMPORARY}{uuid4().hex}", content)
+        system.mv(temporary, f"{root}/{name}")
 
     @cached_property
     def _address(self) -> str | None:

@@ -102,8 +102,7 @@ def _is_canonical(raw: RawArticulation, category: Category) -> bool:
     boxes = model.part_boxes()
     off = np.abs(boxes[:, 0].min(0) + boxes[:, 1].max(0)).max() / 2
     outside = np.maximum(spec[:, 0] - model.limits[:, 0], model.limits[:, 1] - spec[:, 1]).max()
-    expected = np.array([joint.axis for joint in category.joints])
-    along = (model.axes * expected).sum(1) / np.linalg.norm(expected, axis=1)
+    along = (model.axes * category.axes).sum(1)
     # a limit that is not stated is NaN, which is not within anything
     in_place = off < EXACT * model.diagonal and outside < EXACT and along.min() > 0.9
     return bool(in_place and _agreement(model, category, _telling_asides(model, category)).min() > LEAST_AGREEMENT)
@@ -135,7 +134,7 @@ def _candidates(
 def _turned(model: ObjectModel, R: np.ndarray, category: Category) -> ObjectModel:
     """The object in the frame that ``R`` (3, 3) takes it to; joints whose axis points against the spec's turn round."""
     axes = model.axes @ R.T
-    against = (axes * [joint.axis for joint in category.joints]).sum(1, keepdims=True) < 0
+    against = (axes * category.axes).sum(1, keepdims=True) < 0
     return replace(
         model,
         parts=tuple(part.warped(lambda vertices: vertices @ R.T) for part in model.parts),

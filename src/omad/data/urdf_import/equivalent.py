@@ -90,7 +90,7 @@ def _one_axis(raw: RawArticulation, a: RawJoint, b: RawJoint) -> bool:
         return False
     apart = np.linalg.norm(np.cross(a.pivot - b.pivot, a.axis))
     vertices = np.concatenate([link.mesh.vertices for link in raw.links])
-    near = apart < COAXIAL * np.linalg.norm(np.ptp(vertices, axis=0))
+    near = apart < COAXIAL * diagonal(vertices)
     return bool(near or not (a.motion.turns and b.motion.turns))
 
 

@@ -81,21 +81,15 @@ class FolderImport:
     """What had to be put right about models that were taken in."""
 
 
-def load_folder(
-    folder: Path | str,
-    category: Category,
-    scale: float | None = None,
-    missing_meshes: MissingMeshes = "refuse",
-    mesh_folder: Path | None = None,
-) -> FolderImport:
+def load_folder(folder: Path | str, category: Category, scale: float | None = None) -> FolderImport:
     """Import every object of ``folder``: one itself, or ``.urdf`` files, or one sub-folder an object, by name.
-    Arguments as in ``import_model``. Objects that do not fit, or are of another unit, are listed with the reason.
+    ``scale`` as in ``import_model``. Objects that do not fit, or are of another unit, are listed with the reason.
     Raises InputError where ``folder`` does not exist or holds no object at all."""
     models, refused, notes = [], [], []
     up, z_up = dict[str, str](), set[str]()
     for source in object_paths(folder):
         try:
-            found = _of_usual_size(source, category, scale, missing_meshes, mesh_folder, folder)
+            found = _of_usual_size(source, category, scale, "refuse", None, folder)
         except InputError as error:
             refused.append(Refusal(object_name(source), str(error)))
         else:

@@ -32,6 +32,11 @@ SHARED = 0.5
 CURE = "run omad train confidence, or delete the file"
 
 
+def right_within(category: Category, diagonal: float) -> np.ndarray:
+    """(J,) radians or metres that a joint state of a right answer may be off, of an object of such a ``diagonal``."""
+    return np.where(category.turning, RIGHT_ANGLE, RIGHT_SHARE * diagonal)
+
+
 def deviations(level: float) -> float:
     """Standard deviations to both sides of its mean that hold a share ``level`` of a normal distribution."""
     return -NormalDist().inv_cdf((1 - level) / 2)

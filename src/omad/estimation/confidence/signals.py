@@ -83,7 +83,7 @@ class Meter:
 
     def __init__(self, category: Category, prior: OmadPrior) -> None:
         self._category = category
-        parts, limits = len(category.parts), np.array([joint.limits for joint in category.joints])
+        parts, limits = len(category.parts), category.limits
         self._parts, self._half, self._middle = parts, np.ptp(limits, axis=1) / 2, limits.mean(1)
         part_of = np.array(category.part_of_keypoint)
         moved = np.stack([part_of == part for part in range(1, parts)], 1).astype(float)

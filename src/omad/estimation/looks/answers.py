@@ -1,6 +1,5 @@
 """From the fit to what a caller gets: metres, radians, and how sure each number is."""
 
-from collections.abc import Sequence
 from functools import cached_property
 
 import numpy as np
@@ -33,7 +32,9 @@ class Answers:
         self._category, self._prior, self._confidence, self.surfaces = category, prior, confidence, surfaces
         self.asked = WITHOUT_FRONT if confidence is None else confidence.image
         if self.asked == IMAGE and surfaces is None:
-            raise InputError(f"{category.name}: its confidence asks for surfaces, and there are none; {CURE}")
+            raise InputError(
+                f"{category.name}: its confidence.json asks for surfaces.npz, which is not beside it; {CURE}"
+            )
         self.shared = SHARED if confidence is None else confidence.shared
         self._meter = Meter(category, prior)
 
@@ -43,20 +44,22 @@ class Answers:
         return Poser(self._prior, self._category)
 
     def __call__(
-        self, shown: Shown, looks: Sequence[Look], refined: Refined, seconds: dict[str, float]
+        self, shown: Shown, first: Look, last: Look, refined: Refined, seconds: dict[str, float]
     ) -> list[Estimate]:
-        """To B observations that were ``shown``, of which the ``looks`` were taken, the last ones' targets fitted."""
+        """To B observations that were ``shown``, at which the ``first`` and the ``last`` look were taken, whose targets
+        were fitted."""
         category, unit, joints = self._category, self._category.metres_per_unit, len(self._category.joints)
-        # from the refinement's unknowns to metres, radians and beta
-        scale = np.concatenate([np.ones(3), np.full(3, unit), category.state_units, np.ones(self._prior.basis_size)])
+        scale = category.tangent_units(self._prior.basis_size)
         covariance = as_doubles(refined.covariance) * (scale[:, None] * scale)
         # the fit's answers and the network's own, whose deviations are not known
-        rows, last = torch.cat([refined.state.pack(), looks[0].state.pack()]), looks[-1]
+        rows = torch.cat([refined.state.pack(), first.state.pack()])
         posed = self.posed(State.unpack(rows, joints))
         batch = len(posed) // 2
         clouds = shown.clouds[:, -last.samples :]
-        answers = last.frame, last.said, last.targets, refined, posed[:batch]
-        signals = self._meter(shown.observations, clouds, *answers, self.asked, self.surfaces)
+        signals = self._meter(
+            shown.observations, clouds, last.frame, last.said, last.targets, refined, posed[:batch], self.asked,
+            self.surfaces,
+        )  # fmt: skip
         std, tail, base_std, probability = self._judged(signals, covariance)
         final = PoseEstimate.of(category, posed[:batch], std, tail)
         initial = PoseEstimate.of(category, posed[batch:], np.full_like(std, np.nan), np.ones_like(std))

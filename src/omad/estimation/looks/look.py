@@ -11,6 +11,8 @@ from torch import Tensor
 from omad.model.fitting.state import State, Targets
 from omad.model.omadnet import Prediction
 
+from .shown import Shown
+
 
 @dataclass(frozen=True)
 class Look:
@@ -41,16 +43,28 @@ class Look:
         """(B, n, K), or K + 1 where the network tells points outside the object."""
         return self.said.part_logits.unflatten(0, (-1, self.samples)).flatten(1, 2)
 
-    def put(self, rows: Tensor, other: Look) -> None:
-        """Replace what is seen of the clouds ``rows``."""
-        put_rows(self.said, _samples_of(rows, self.samples), other.said)
-        put_rows(self.targets, rows, other.targets)
-        self.frame[rows] = other.frame
-
     def of(self, rows: Tensor) -> Look:
         """What is seen of the clouds ``rows``."""
         said = rows_of(self.said, _samples_of(rows, self.samples))
         return replace(self, targets=rows_of(self.targets, rows), said=said, frame=self.frame[rows])
+
+    def with_rows(self, rows: Tensor, other: Look) -> Look:
+        """With what ``other`` has seen of the clouds ``rows``."""
+        said = with_rows(self.said, _samples_of(rows, self.samples), other.said)
+        targets = with_rows(self.targets, rows, other.targets)
+        return replace(self, targets=targets, said=said, frame=self.frame.index_copy(0, rows, other.frame))
+
+
+@dataclass(frozen=True)
+class Crowd:
+    """Clouds with other things than the object, which were left out."""
+
+    rows: Tensor
+    """(n,) which clouds."""
+    shown: Shown
+    """All clouds with these things."""
+    look: Look
+    """The first at the clouds ``rows``, with these things."""
 
 
 def _samples_of(rows: Tensor, samples: int) -> Tensor:
@@ -66,10 +80,10 @@ def rows_of(found: Any, rows: Tensor) -> Any:
     return replace(found, **values)
 
 
-def put_rows(found: Any, rows: Tensor, others: Any) -> None:
-    """Replace them."""
-    for key, value in vars(found).items():
-        if isinstance(value, Tensor):
-            value[rows] = getattr(others, key)
-        else:
-            put_rows(value, rows, getattr(others, key))
+def with_rows(found: Any, rows: Tensor, others: Any) -> Any:
+    """A dataclass of tensors, or of such, with some rows replaced."""
+    values = {
+        key: value.index_copy(0, rows, other) if isinstance(value, Tensor) else with_rows(value, rows, other)
+        for key, value, other in ((key, value, getattr(others, key)) for key, value in vars(found).items())
+    }
+    return replace(found, **values)

@@ -9,7 +9,7 @@ from omad.common.batches import progress
 from omad.common.errors import InputError
 from omad.data.rendering.spoils.thinned import thinly_spoilt
 from omad.data.rendering.standard_views import View, standard_view, true_pose
-from omad.estimation.confidence.model import RIGHT_ANGLE, RIGHT_SHARE
+from omad.estimation.confidence.model import RIGHT_SHARE, right_within
 from omad.estimation.estimate import Estimate
 from omad.estimation.estimator import Estimator
 from omad.geometry.mesh import merge_meshes
@@ -84,7 +84,7 @@ def _errors(estimate: Estimate, view: View) -> np.ndarray:
     assert isinstance(surface, FittedSurface)
     assert surfaces is not None
     truth, boxes, diagonal = true_pose(view, category), view.truth.part_boxes, view.truth.diagonal
-    most = np.append(RIGHT_SHARE * diagonal, np.where(category.turning, RIGHT_ANGLE, RIGHT_SHARE * diagonal))
+    most = np.append(RIGHT_SHARE * diagonal, right_within(category, diagonal))
     found = []
     for share in TRIED:
         placed = surfaces.towards(seen, surface, np.full(len(surface.step), share)).placed

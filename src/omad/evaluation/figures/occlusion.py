@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, MaxNLocator, PercentFormatter
 
 from omad.common.batches import batched, progress
-from omad.data.rendering.rasteriser import render
+from omad.data.rendering.rasteriser import NOTHING, render
 from omad.data.rendering.standard_views import View, observe_all, true_pose
 from omad.data.source import ViewSource
 from omad.geometry.rigid import carry_each
@@ -70,10 +70,10 @@ def hidden_share(view: View, model: ObjectModel) -> float:
     return 1 - float(seen.mean())
 
 
-def occlude(depth: np.ndarray, share: float, rng: np.random.Generator) -> np.ndarray:
-    """``depth`` (H, W) without ``share`` of its measured pixels: those on one side of a random line, or those in a
-    random box around one of them."""
-    rows, columns = np.nonzero(depth)
+def occlude(depth: np.ndarray, thing: np.ndarray, share: float, rng: np.random.Generator) -> np.ndarray:
+    """``depth`` (H, W) without ``share`` of the measured pixels of a ``thing`` (H, W) bool: those on one side of a
+    random line, or those in a random box around one of them."""
+    rows, columns = np.nonzero(depth * thing)
     if share <= 0 or not len(rows):
         return depth
     if rng.random() < 0.5:
@@ -97,7 +97,11 @@ def measure_occlusion(category: Category, estimators: Estimators, source: ViewSo
     for some in batched(progress(source.views, source.total), BATCH):
         objects += [view.object for view in some]
         hidden += [hidden_share(view, model) if (model := source.model_of(view)) else np.nan for view in some]
-        cut = [replace(view, depth=occlude(view.depth, share, rng)) for view in some for share in SHARES]
+        cut = [
+            replace(view, depth=occlude(view.depth, view.labels != NOTHING, share, rng))
+            for view in some
+            for share in SHARES
+        ]
         for stage, found in _estimate(category, estimators, cut).items():
             errors[stage] += batched(found, len(SHARES))
     return Occlusion(

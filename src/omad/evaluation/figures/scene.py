@@ -10,7 +10,7 @@ from omad.data.rendering.rasteriser import NOTHING, rasterise, render_parts
 from omad.data.rendering.viewpoints import pose_before
 from omad.geometry.camera import Camera
 from omad.geometry.mesh import Mesh, merge_meshes, triangle_normals
-from omad.geometry.rigid import bounding_sphere, box, carry
+from omad.geometry.rigid import bounding_sphere, box, carry, diagonal
 from omad.objects.category import Category
 from omad.output.picture import part_colours
 
@@ -110,7 +110,7 @@ def arrows(category: Category, axes: np.ndarray, pivots: np.ndarray, keypoints: 
         part = keypoints[part_of == child]
         through = pivot if turns else part.mean(0)
         reach = (part - through) @ axis
-        beyond = 0.14 * float(np.linalg.norm(np.ptp(part, axis=0)))
+        beyond = 0.14 * diagonal(part)
         found.append([through + (reach.min() - beyond) * axis, through + (reach.max() + 1.6 * beyond) * axis])
     return np.array(found)
 

@@ -35,7 +35,7 @@ def from_true_keypoints(
     keypoints = torch.as_tensor(np.stack(carried) / unit).float()
     targets = Targets(keypoints, torch.full(keypoints.shape[:2], SIGMA**-2))
 
-    limits, count = torch.tensor([joint.limits for joint in category.joints]), len(views)
+    limits, count = torch.as_tensor(category.limits).float(), len(views)
     refiner = Refiner(prior, limits, estimator.config.refinement)
     mean = State(prior.beta_mean.expand(count, -1), limits.mean(1).expand(count, -1), torch.eye(4).expand(count, 4, 4))
     found = refiner(targets, refiner.with_fitted_pose(targets, mean)).state

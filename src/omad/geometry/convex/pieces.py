@@ -16,7 +16,7 @@ import manifold3d
 import numpy as np
 
 from ..mesh import triangle_normals
-from ..rigid import box
+from ..rigid import box, diagonal
 
 FULL = 1.2
 """A piece whose hull is no more than so many times as large is convex enough."""
@@ -42,7 +42,7 @@ def convex_pieces(triangles: np.ndarray) -> list[np.ndarray]:
     points, solid = _solid(triangles)
     if solid is None:
         return [points]
-    size = float(np.linalg.norm(np.ptp(points, axis=0)))
+    size = diagonal(points)
     whole = solid.volume()
     pieces, done = [_Piece.of(each) for each in solid.decompose()], list[_Piece]()
     while pieces and len(pieces) + len(done) < PIECES:

@@ -90,11 +90,6 @@ class Proposer:
     net: ProposalNet
     """Its network."""
 
-    @classmethod
-    def from_folder(cls, folder: Path = WEIGHTS, device: torch.device | str = "cpu") -> Self:
-        """The shipped one, or that of a checkpoint folder. Raises InputError."""
-        return cls(load(ProposalNet, folder).to(device))
-
     @undisturbed()
     def __call__(self, observations: Sequence[Observation], seed: int = 0) -> list[dict[str | None, float]]:
         """Of each observation, the probability of every category and of none (None), likeliest first."""
@@ -114,4 +109,4 @@ class Proposer:
 @cache
 def shipped_proposer() -> Proposer:
     """The one in the package."""
-    return Proposer.from_folder()
+    return Proposer(load(ProposalNet, WEIGHTS))

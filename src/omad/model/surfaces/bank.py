@@ -149,12 +149,12 @@ def _meshes(arrays: dict[str, np.ndarray], parts: int) -> list[tuple[Mesh, ...]]
     counts, vertices, faces = arrays["counts"], Shape(None, 3).array(arrays["vertices"]), arrays["faces"]
     whole = len(counts) % parts == 0 and counts.min() > 0 and counts.sum(0).tolist() == [len(vertices), len(faces)]
     if not whole or faces.dtype.kind != "i" or faces.ndim != 2 or faces.shape[1] != 3:
-        raise ValueError("counts")
+        raise ValueError("counts: are not those of vertices (V, 3) and faces (F, 3)")
     ends = np.cumsum(counts, 0)[:-1]
     split = zip(np.split(vertices, ends[:, 0]), np.split(faces, ends[:, 1]), strict=True)
     each = [Mesh(v, f.astype(np.int64)) for v, f in split]
     if not all(mesh.faces.min() >= 0 and mesh.faces.max() < len(mesh.vertices) for mesh in each):
-        raise ValueError("faces")
+        raise ValueError("faces: name vertices that are not there")
     return [tuple(each[i : i + parts]) for i in range(0, len(each), parts)]
 
 

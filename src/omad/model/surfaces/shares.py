@@ -50,5 +50,5 @@ class Shares:
             return None
         taken, errors = Shape(1 + joints).array(arrays[NAMES[0]]), Shape(3, 1 + joints).array(arrays[NAMES[1]])
         if ((taken < 0) | (taken > 1)).any() or (errors < 0).any():
-            raise ValueError("shares are from 0 to 1, and errors not below 0")
+            raise ValueError(f"{NAMES[0]}: shares are from 0 to 1, and {NAMES[1]} not below 0")
         return cls(taken, errors, int(arrays[NAMES[2]]))

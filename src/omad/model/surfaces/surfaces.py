@@ -189,10 +189,9 @@ class Surfaces:
         if cloud is None or not np.isfinite(covariance).all():
             parts, still = self.of_keypoints(found.canonical_keypoints), np.zeros(len(covariance))
             return [FittedSurface(parts, found.placed, found.placed, still)] * len(follows)
-        scale = np.concatenate([np.ones(3), np.full(3, unit), self.category.state_units, np.ones(len(found.beta))])
-        limits = np.array([joint.limits for joint in self.category.joints])
-        start = self._state(found)
-        fit = SurfaceFit.of(self._doubles, limits, start, covariance / scale[:, None] / scale, cloud, config.fit)
+        scale, start = self.category.tangent_units(len(found.beta)), self._state(found)
+        covariance = covariance / scale[:, None] / scale
+        fit = SurfaceFit.of(self._doubles, self.category.limits, start, covariance, cloud, config.fit)
         placed = fit.begin()
         placed = fit(placed, self.bank.template(self.bank.nearest(placed.keypoints, 1)[0][0]))
         best = self._chosen(fit, placed)

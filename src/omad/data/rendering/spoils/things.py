@@ -7,6 +7,7 @@ from omad.data.procedural import GENERATORS, generate
 from omad.data.procedural.shapes import box, cylinder
 from omad.geometry.mesh import Mesh, merge_meshes
 from omad.geometry.rigid import box as bounds
+from omad.geometry.rigid import diagonal as diagonal_of
 from omad.geometry.rigid import rigid
 from omad.objects.category_file import get_category
 
@@ -20,12 +21,17 @@ def random_thing(diagonal: float, rng: np.random.Generator, category: str = "") 
     """A thing whose box has ``diagonal`` (metres), turned about y at random, its foot at y = 0 and its middle on the y
     axis. It is of another category than the one named."""
     mesh = _procedural(rng, category) if rng.random() < PROCEDURAL else simple_thing(rng)
-    turn = Rotation.from_rotvec([0, rng.uniform(0, 2 * np.pi), 0]).as_matrix()
-    mesh = mesh.carried(rigid(turn, np.zeros(3)))
+    thing = standing(mesh, rng.uniform(0, 2 * np.pi), 1.0)
+    size = diagonal / diagonal_of(thing.vertices)
+    return thing.warped(lambda vertices: vertices * size)
+
+
+def standing(mesh: Mesh, turn: float, scale: float) -> Mesh:
+    """Turned about y and scaled, its foot at y = 0 and its middle on the y axis."""
+    mesh = mesh.carried(rigid(Rotation.from_rotvec([0, turn, 0]).as_matrix(), np.zeros(3)))
     low, high = bounds(mesh.vertices)
     foot = np.array([(low[0] + high[0]) / 2, low[1], (low[2] + high[2]) / 2])
-    size = diagonal / float(np.linalg.norm(high - low))
-    return mesh.warped(lambda vertices: (vertices - foot) * size)
+    return mesh.warped(lambda vertices: (vertices - foot) * scale)
 
 
 def random_box(diagonal: float, rng: np.random.Generator) -> Mesh:
