@@ -396,5 +396,6 @@ def test_an_image_of_one_row_has_its_pictures():
     "settings", [{"gate": 0.0}, {"gate": 1.0}, {"jitter": -0.1}, {"jitter": 1.1}, {"motion": MotionConfig(decay=0.0)}]
 )
 def test_settings_that_no_tracker_can_have_are_refused(settings):
-    with pytest.raises(InputError, match="TrackerConfig: gate is a share"):
+    names = {"gate": "gate is a share", "jitter": "jitter is a share", "motion": r"motion\.decay is above 0"}
+    with pytest.raises(InputError, match=f"TrackerConfig: {names[next(iter(settings))]}"):
         TrackerConfig(**settings)

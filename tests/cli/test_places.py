@@ -33,6 +33,7 @@ def test_two_checkpoints_of_one_category_are_not_mixed(capsys):
     Path("own").mkdir()
     for name in ("first", "second"):
         Path("own", name).symlink_to(WEIGHTS / "laptop")
+    assert "--category: names nothing" in refused(capsys, "figure", "keypoints", "--category")
     for command in ("figure keypoints", "figure sweep"):
         line = refused(capsys, *command.split(), "--weights", "own")
         assert "own: first and second are both for laptop; leave one of them out" in line

@@ -53,6 +53,15 @@ def test_estimates_take_their_surfaces_from_the_bank(weights, capsys):
     assert (weights / "copy" / FILE).read_bytes() == (weights / FILE).read_bytes()
 
 
+def test_surfaces_are_made_where_a_confidence_asks_for_those_that_are_not_there(weights, capsys):
+    shutil.copy(find_weights("laptop") / "confidence.json", weights)
+    few = ["--weights", str(weights), "--objects", "3", "--views", "2", "--threads", "1"]
+    assert run(["train", "surface", *LAPTOP, *few]) == 0
+    assert "run omad train confidence anew" not in capsys.readouterr().err
+    assert run(["train", "surface", *LAPTOP, *few]) == 0
+    assert "confidence.json: asks for the surfaces that were there" in capsys.readouterr().err
+
+
 def test_an_interrupted_measurement_leaves_no_bank_that_looks_finished(weights, monkeypatch, capsys):
     def interrupted(*asked, **options):
         raise KeyboardInterrupt

@@ -93,6 +93,7 @@ def test_bootstrap_resamples_objects_not_views():
     low, high = bootstrap_interval(values, np.repeat(["a", "b"], 50))
     assert (low, high) == (1.0, 3.0)  # two objects: any draw may hold one of them only
     assert bootstrap_interval(np.ones(10), np.arange(10)) == (1.0, 1.0)
+    assert bootstrap_interval(values, np.full(100, "a")) is None  # one object does not tell how others differ
 
 
 def test_swapped_labels_of_scissors_are_no_error():

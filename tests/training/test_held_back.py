@@ -1,7 +1,8 @@
 """Held-back objects: kept apart, watched, and what they say of how far to trust the fit."""
 
 import json
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import pytest
 import torch
@@ -23,20 +24,40 @@ from omad.training.loop import Schedule, train
 from omad.training.train_prior import PriorTraining, train_prior
 
 
+@dataclass(frozen=True)
+class Model:
+    """One, or a variant of ``own``."""
+
+    name: str
+
+    @property
+    def own(self) -> str:
+        return self.name.partition("-")[0]
+
+
 def test_few_objects_are_all_trained_on_and_many_give_a_few():
     for count, held in ((3, 0), (19, 0), (20, 1), (300, 15), (1000, 16)):
-        names = [f"object {index}" for index in range(count)]
-        seen, kept = split(names)
+        models = [Model(f"object {index}") for index in range(count)]
+        seen, kept = split(models)
         assert len(kept) == held
-        assert {*seen} | {*kept} == {*names}
+        assert {*seen} | {*kept} == {*models}
+        assert not {*seen} & {*kept}
+
+
+def test_of_more_objects_none_is_held_back_that_fewer_of_them_were_trained_on():
+    models = [Model(f"laptop-train-{index}") for index in range(4000)]
+    counts = (20, 300, 1000, 2500, 4000)
+    for fewer, more in pairwise(counts):
+        seen, _ = split(models[:fewer])
+        _, kept = split(models[:more])
         assert not {*seen} & {*kept}
 
 
 def test_of_variants_that_take_turns_no_model_is_held_back_whole():
     for own in range(2, 61):
-        seen, kept = split([index % own for index in range(300)])
-        assert {*seen} == {*range(own)}
-        assert len({*kept}) > min(own, len(kept)) / 3
+        seen, kept = split([Model(f"{index % own}-{index}") for index in range(300)])
+        assert {model.own for model in seen} == {*map(str, range(own))}
+        assert len({model.own for model in kept}) > min(own, len(kept)) / 3
 
 
 @pytest.fixture(scope="module")

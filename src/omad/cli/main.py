@@ -33,7 +33,7 @@ from .explore import Explore
 from .figures import FigureKeypoints, FigureOcclusion, FigureQualitative, FigureSweep, FigureTsne
 from .index import IndexBuild, IndexMerge, IndexQuery
 from .models import Generate, Import, Render
-from .options import check_seed
+from .options import ALIASES, check_seed
 from .paper import EvalAblation, EvalTable1, EvalTable2
 from .scale.bulk import Bulk
 from .scale.serve import Serve
@@ -154,8 +154,9 @@ def check_options(options: Any, arguments: Sequence[str] = ()) -> None:
     ``arguments`` that is to name something and names nothing, as a shell's variable that is not set does."""
     for field in fields(options):
         value, option = getattr(options, field.name), f"--{field.name.replace('_', '-')}"
-        if value == field.default == () and option in arguments:
-            raise InputError(f"{option}: names nothing; name at least one, or leave it out")
+        for name in (option, ALIASES.get(field.name)):
+            if value == field.default == () and name in arguments:
+                raise InputError(f"{name}: names nothing; name at least one, or leave it out")
         if field.name == "seed":
             check_seed(value)
         for path in value if isinstance(value, tuple) else (value,):

@@ -37,6 +37,8 @@ with lazy_imports():
     from omad.objects.category_file import is_spec_file, read_spec
     from omad.objects.model import digest_of_models
 
+ALIASES = {"categories": "--category"}
+"""Other names of options, by field."""
 MOST_THREADS = 1024
 LARGEST = 1e9
 """Of numbers on the command line."""
@@ -85,7 +87,7 @@ class CategoryCommand:
 class CategoriesCommand:
     """A command that works with the weights of several categories."""
 
-    categories: Annotated[tuple[str, ...], tyro.conf.arg(aliases=["--category"])] = ()
+    categories: Annotated[tuple[str, ...], tyro.conf.arg(aliases=[ALIASES["categories"]])] = ()
     """Default: all with weights."""
     weights: Path | None = None
     """Folder with a sub-folder a category in place of the shipped weights, or the checkpoint of one category. In a

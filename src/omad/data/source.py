@@ -141,6 +141,8 @@ def _images_in_shards(source: str, category: Category, broken: Broken, skip: int
 
 
 def _unusual(source: str, category: Category, objects: int, split: Split, seed: int) -> ModelSource:
+    if split == "train":
+        raise InputError(f"{source}: its objects are the same in each split, to test on; give another source")
     return ModelSource([generate(category, index, "unusual", seed) for index in range(objects)])
 
 

@@ -113,9 +113,12 @@ def summarise(errors: list[PoseErrors], diagonals: np.ndarray, category: Categor
     }
 
 
-def bootstrap_interval(values: np.ndarray, groups: np.ndarray) -> tuple[float, float]:
-    """95 % interval of the mean of ``values`` (n,) when whole ``groups`` (n,) (objects) are resampled 1000 times."""
+def bootstrap_interval(values: np.ndarray, groups: np.ndarray) -> tuple[float, float] | None:
+    """95 % interval of the mean of ``values`` (n,) when whole ``groups`` (n,) (objects) are resampled 1000 times; None
+    of a single one, which does not tell how others differ."""
     names, counts = np.unique(groups, return_counts=True)
+    if len(names) < 2:
+        return None
     means = np.array([values[groups == name].mean() for name in names])
     picked = np.random.default_rng(0).integers(0, len(names), (1000, len(names)))
     resampled = (means[picked] * counts[picked]).sum(1) / counts[picked].sum(1)

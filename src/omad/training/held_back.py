@@ -3,9 +3,9 @@ to say how far to trust what keypoints say of joint states."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TypeVar
+from hashlib import sha256
+from typing import Protocol, TypeVar
 
-import numpy as np
 import torch
 from torch import Generator, Tensor
 
@@ -27,15 +27,26 @@ SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
 BETTER = 0.97
 """The error that a share leaves must be so many times smaller to be taken."""
 
-M = TypeVar("M")
+
+class Named(Protocol):
+    """An object, as far as it is asked."""
+
+    @property
+    def name(self) -> str: ...
+
+
+M = TypeVar("M", bound=Named)
 
 
 def split(models: Sequence[M]) -> tuple[list[M], list[M]]:
-    """Objects to train on, and some that are held back; few objects are all trained on. They are drawn, always alike:
-    variants of models take turns, and one in so many would be of the same model."""
+    """Objects to train on, and some that are held back; few objects are all trained on. Names decide, as if drawn: of
+    more objects none is held back that fewer of them were trained on. Variants of a model are objects of their own,
+    so that what is held back may be much like what is seen."""
     count = min(len(models) // ONE_IN, MOST)
-    drawn = sorted(np.random.default_rng(0).choice(len(models), count, replace=False).tolist())
-    return [model for index, model in enumerate(models) if index not in drawn], [models[index] for index in drawn]
+    order = sorted(range(len(models)), key=lambda index: sha256(models[index].name.encode()).digest())
+    held = {*order[:count]}
+    seen = [model for index, model in enumerate(models) if index not in held]
+    return seen, [models[index] for index in sorted(held)]
 
 
 @dataclass(frozen=True)

@@ -179,10 +179,16 @@ def start(devices: int, nodes: int, parts: int, device: str, precision: Precisio
         said = f"--devices {devices} --nodes {nodes}: the processes cannot be started"
         raise InputError(f"{said} ({one_line(error)}); say so many as there are") from error
     if kind.type == "cpu":  # threads that gloo leaves behind may abort a process that is done
-        atexit.register(torch.distributed.destroy_process_group)
+        atexit.register(_leave)
     if fabric.global_rank > 0:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # the answer is the first one's to give
     return Processes(fabric.device, parts, precision, fabric.global_rank, fabric.world_size, fabric)
+
+
+def _leave() -> None:
+    """Once, however many trainings were begun."""
+    if torch.distributed.is_initialized():
+        torch.distributed.destroy_process_group()
 
 
 @contextmanager

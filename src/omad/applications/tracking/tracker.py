@@ -284,7 +284,7 @@ class Tracker:
         track.doubt = max(track.doubt + better, 0.0)
         if track.doubt < self.config.switch:
             return warm, True
-        self._candidate = cold  # the next frame that agrees starts the new track
+        self._candidate = cold  # which begins the new track
         return cold, False
 
     def _near(self, track: _Track) -> Near:

@@ -97,6 +97,9 @@ def pose_text(answer: dict[str, Any]) -> str:
     head = f"{answer['category']}, {answer['source']}: {seen}, mean / median / 90th percentile"
     seconds = {key: "-" if value is None else f"{1000 * value:.1f} ms" for key, value in answer["seconds"].items()}
     times = ", ".join(f"{key} {spent}" for key, spent in seconds.items())
-    found, axes = answer["interval"], ", ".join(spread(axis, 1, "°") for axis in answer["interval"]["axis_error_deg"])
-    means = f"95 % interval of means, over objects: joint state {states(found, per_metre)}; axis angle {axes}"
+    means = "95 % interval of means: not known from one object"
+    if answer["objects"] > 1:
+        found = answer["interval"]
+        axes = ", ".join(spread(axis, 1, "°") for axis in found["axis_error_deg"])
+        means = f"95 % interval of means, over objects: joint state {states(found, per_metre)}; axis angle {axes}"
     return "\n".join([head, table(rows), means, f"failures {answer['failures']}; per image: {times}", *refused(answer)])

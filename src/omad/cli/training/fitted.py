@@ -91,7 +91,7 @@ class TrainSurface:
         prior = self.prior or (own if own.is_dir() else shipped_prior(self.category))
         net = load(PriorNet, prior).to(pick_device(self.device))
         check_category("--prior", prior, net.category, self.category)
-        estimator = omad.Estimator.from_pretrained(folder)
+        estimator = _answering(folder)
         if prior_fingerprint(net.prior, net.category) != prior_fingerprint(estimator.net.prior, estimator.category):
             raise InputError(f"{prior}: is not the prior that {folder} was trained with; give that one with --prior")
         _check_folder_of(self.weights, folder, banks.FILE)
@@ -109,6 +109,8 @@ class TrainSurface:
                 record |= {"shares": shares.taken.tolist(), "errors": shares.errors.tolist(), "views": shares.views}
                 record["follows"] = follows
         path = bank.save(folder)  # the last: where it is, all that is measured is in it
+        if estimator.answers.asked == signals.IMAGE:
+            tell(f"{folder / confidences.FILE}: asks for the surfaces that were there; run omad train confidence anew")
         record = {"file": str(path), "objects": len(bank), "bytes": path.stat().st_size, **record}
         return Answer(record, partial(surface_text, net.category))
 
@@ -169,6 +171,15 @@ class TrainConfidence(CategoryCommand):
         }
         record = {"checkpoint": str(folder), "views": self.views, **asks}
         return Answer(record | fitting.measured(confidence, others, category), confidence_text)
+
+
+def _answering(folder: Path) -> omad.Estimator:
+    """With what the weights know of their errors, but where that asks for surfaces that are yet to be made, or is of
+    other weights."""
+    try:
+        return omad.Estimator.from_pretrained(folder)
+    except InputError:
+        return omad.Estimator(load(OmadNet, folder), device=pick_device("auto"))
 
 
 def _check_folder_of(weights: Path | None, folder: Path, file: str) -> None:

@@ -51,7 +51,7 @@ def row(
         "method": method,
         "joint_state": _means(states),
         "joint_state_median": np.median(states, 0).tolist(),
-        "joint_state_interval": [list(bootstrap_interval(column, truths.objects)) for column in states.T],
+        "joint_state_interval": [bootstrap_interval(column, truths.objects) for column in states.T],
         "axis_error_deg": _means(np.degrees([e.axis for e in errors])),
         "axis_distance": _of_turning(_means(distance), category),
         "pivot_distance": _of_turning(_means(pivot), category),
