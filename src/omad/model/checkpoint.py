@@ -36,12 +36,12 @@ WEIGHTS = Path(__file__).parent / "weights"
 
 
 class Network(nn.Module):
-    """A network that can be kept: it tells its kind and sizes, and can be built from them. One of a single category
-    tells that, too."""
+    """A network that can be kept: it tells its kind and sizes, and can be built from them."""
 
     kind: ClassVar[str]
     """What its checkpoints are called by; no other network's."""
     category: Category
+    """Of a network of a single one."""
 
     def described(self) -> dict[str, Any]:
         """All that a checkpoint tells of the network, plain values for JSON."""

@@ -121,42 +121,45 @@ class Meter:
         share = (labels[:, None] == np.arange(1, self._parts + 1)[:, None]).sum(2) / max(labels.shape[1], 1)
         cloud = clouds.numpy(force=True).reshape(batch, -1, 3)
         unusual = beta - self._usual
-        image = [
-            log_std.mean(1),
-            log_std.max(1),
-            np.log(off.mean(1) + LEAST),
-            np.log(as_doubles(refined.residual) + LEAST),
-            np.log1p((unusual @ self._precision * unusual).mean(1)),
-            np.log(np.sqrt(spread) + LEAST),
-            np.log(_angle(turned.trace(axis1=1, axis2=2)) + SMALLEST_MOVE),
-            np.log(np.sqrt(np.square(T[:, :3, 3] - start[:, :3, 3]).sum(1)) + SMALLEST_MOVE),
-            np.log(_angle(_trace_between(own, turned)) + SMALLEST_MOVE),
-            np.sqrt(share[:, -1]),
-            np.log([len(one.points) for one in observations]),
-            [min(max(cut_off(one).values(), default=0.0), 1.0) for one in observations],
-            np.log(np.sqrt(np.square(cloud.max(1) - cloud.min(1)).sum(1)) + LEAST),
-            np.abs(view[:, 0]),
-            view[:, 1],
-            view[:, 2],
-            np.log(away + LEAST),
-            1.0 - as_doubles(refined.converged),
-            self._front(observations, posed) if "front" in asked else np.zeros(batch),
-            *(_unexplained(observations, posed, surfaces) if asked == IMAGE and surfaces else np.zeros((3, batch))),
-        ]
+        image = {
+            "expected error": log_std.mean(1),
+            "worst expected error": log_std.max(1),
+            "misfit": np.log(off.mean(1) + LEAST),
+            "residual": np.log(as_doubles(refined.residual) + LEAST),
+            "shape": np.log1p((unusual @ self._precision * unusual).mean(1)),
+            "spread": np.log(np.sqrt(spread) + LEAST),
+            "turned since the look": np.log(_angle(turned.trace(axis1=1, axis2=2)) + SMALLEST_MOVE),
+            "moved since the look": np.log(np.sqrt(np.square(T[:, :3, 3] - start[:, :3, 3]).sum(1)) + SMALLEST_MOVE),
+            "turned from the network's own pose": np.log(_angle(_trace_between(own, turned)) + SMALLEST_MOVE),
+            "outside": np.sqrt(share[:, -1]),
+            "points": np.log([len(one.points) for one in observations]),
+            "cut off": [min(max(cut_off(one).values(), default=0.0), 1.0) for one in observations],
+            "size": np.log(np.sqrt(np.square(cloud.max(1) - cloud.min(1)).sum(1)) + LEAST),
+            "from the side": np.abs(view[:, 0]),
+            "from above": view[:, 1],
+            "from the front": view[:, 2],
+            "distance": np.log(away + LEAST),
+            "not converged": 1.0 - as_doubles(refined.converged),
+            "front": self._front(observations, posed) if "front" in asked else np.zeros(batch),
+        }
+        unexplained = (
+            _unexplained(observations, posed, surfaces) if asked == IMAGE and surfaces else np.zeros((3, batch))
+        )
+        image |= zip(IMAGE[-3:], unexplained, strict=True)
         travel = (states - self._middle) / self._half
         variance = as_doubles(refined.covariance).diagonal(axis1=1, axis2=2)[:, 6 : 6 + joints]
-        joint = [
-            np.log(np.sqrt(variance.clip(0)) + LEAST),
-            np.log(np.abs(own_states.mean(1) - states) + LEAST),
-            np.log(np.sqrt(_variance(own_states)) + LEAST),
-            np.log((np.abs(travel) - 1).clip(0) + SMALLEST_MOVE),
-            travel,
-            log_std @ self._mean_of_part,
-            np.log(off @ self._mean_of_part + LEAST),
-            np.sqrt(share[:, :-1]),
-        ]
-        found = np.stack(image, 1), np.stack(joint, 2), each(said.pooled).mean(1)
-        return Signals(*map(_finite, found))
+        joint = {
+            "std": np.log(np.sqrt(variance.clip(0)) + LEAST),
+            "network's own state": np.log(np.abs(own_states.mean(1) - states) + LEAST),
+            "spread": np.log(np.sqrt(_variance(own_states)) + LEAST),
+            "beyond its limits": np.log((np.abs(travel) - 1).clip(0) + SMALLEST_MOVE),
+            "travel": travel,
+            "expected error": log_std @ self._mean_of_part,
+            "misfit": np.log(off @ self._mean_of_part + LEAST),
+            "points": np.sqrt(share[:, :-1]),
+        }
+        of_image, of_joints = np.stack([image[name] for name in IMAGE], 1), np.stack([joint[name] for name in JOINT], 2)
+        return Signals(*map(_finite, (of_image, of_joints, each(said.pooled).mean(1))))
 
     def _front(self, observations: Sequence[Observation], posed: Sequence[PosedObject]) -> np.ndarray:
         """(B,) log-odds that the objects are of the category."""
