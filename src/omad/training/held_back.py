@@ -24,8 +24,10 @@ ONE_IN, MOST = 20, 16
 """Objects that are held back, and how many at most."""
 SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
 """Of the network's own joint states in an answer."""
-BETTER = 0.97
-"""The error that a share leaves must be so many times smaller to be taken."""
+FARTHEST = 5.0
+"""Of a joint state's error, in medians of the fit's own: wild answers count as such, not by how wild they are."""
+SURE = 2.0
+"""Standard errors by which a share's gain must differ from none."""
 
 
 class Named(Protocol):
@@ -97,15 +99,20 @@ class HeldBack:
         return found
 
     def best_share(self, net: OmadNet) -> float:
-        """The share of the network's own joint states that leaves the smallest median error, summed over joints; that
-        of the fit alone, 0, unless another is clearly better."""
+        """The share of the network's own joint states that surely leaves the smallest error, summed over joints; that
+        of the fit alone, 0, unless another is."""
         answers = self.answers(net)
 
-        def error(share: float) -> float:
-            return float((_states(answers, net, share) - self.views.states).abs().median(0).values.sum())
+        def errors(share: float) -> Tensor:
+            return (_states(answers, net, share) - self.views.states).abs()
 
-        best = min(SHARES, key=error)
-        return best if error(best) < BETTER * error(0.0) else 0.0
+        unit = errors(0.0).median(0).values.clamp(min=1e-6)
+
+        def gain(share: float) -> float:
+            of_views = ((errors(0.0) / unit).clamp(max=FARTHEST) - (errors(share) / unit).clamp(max=FARTHEST)).sum(1)
+            return float(of_views.mean() - SURE * of_views.std() / len(of_views) ** 0.5)
+
+        return max(SHARES, key=gain)
 
 
 def _states(answers: HeldBackAnswers, net: OmadNet, share: float) -> Tensor:
