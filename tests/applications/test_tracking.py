@@ -29,6 +29,7 @@ from omad.objects.category_file import get_category
 
 finish = TrackedSequence.finish
 GIVEN = ["--category", "laptop", "--intrinsics", "600,600,319.5,239.5", "--json"]
+NO_SHARES = [("gate", 0.0), ("gate", 1.0), ("jitter", -0.1), ("jitter", 1.1)]
 
 
 @pytest.fixture(scope="module")
@@ -392,10 +393,7 @@ def test_an_image_of_one_row_has_its_pictures():
     page.TrackPage().add("row.png", row, lost)
 
 
-NO_DECAY = MotionConfig(decay=0.0)
-
-
-@pytest.mark.parametrize("one", [("gate", 0.0), ("gate", 1.0), ("jitter", -0.1), ("jitter", 1.1), ("motion", NO_DECAY)])
-def test_settings_that_no_tracker_can_have_are_refused(one):
-    with pytest.raises(InputError, match=f"TrackerConfig: {one[0]}"):
-        TrackerConfig(**dict([one]))
+@pytest.mark.parametrize(("field", "value"), [*NO_SHARES, ("motion", MotionConfig(decay=0.0))])
+def test_settings_that_no_tracker_can_have_are_refused(field, value):
+    with pytest.raises(InputError, match=f"TrackerConfig: {field}"):
+        TrackerConfig(**{field: value})
