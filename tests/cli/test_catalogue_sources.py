@@ -12,6 +12,7 @@ import pytest
 from helpers.categories import LAPTOP
 from helpers.command_line import LAPTOP as OF_LAPTOP
 from helpers.command_line import answer, refused
+from omad.applications.cluster import engines
 from omad.cli.main import run
 from omad.data.procedural import generate
 from omad.data.rendering.view_folder import open_views
@@ -69,6 +70,8 @@ def test_an_entry_an_object_is_made_of_all_of_its_rendered_views(capsys):
 @pytest.mark.slow
 def test_an_address_is_the_same_source_wherever_one_works_and_whatever_the_seed(capsys, tmp_path, monkeypatch):
     pytest.importorskip("fsspec", reason="addresses need fsspec: pip install 'omad[cluster]'")
+    pytest.importorskip("pyarrow", reason="Parquet files need PyArrow: pip install 'omad[parquet]'")
+    monkeypatch.setattr(engines, "choose_engine", lambda *_, **__: lambda plan, numbers: map(plan, numbers))
     address = f"file://{tmp_path}/shards"
     make = ["render", *OF_LAPTOP, "--objects", "2", "--views", "2", "--cluster", "--output", address]
     assert run(make) == 0
