@@ -88,7 +88,13 @@ def card(name: str, found: str) -> str:
     }
     table = ["| | |", "|---|---|", *(f"| {key} | {value} |" for key, value in facts.items())]
     listed = [f"{number}. {training}" for number, training in enumerate(trainings, 1)]
-    all_of_them = ["<details><summary>All trainings of the network</summary>", "", *listed, "", "</details>"]
+    all_of_them = [
+        "<details><summary>Trainings of the network that its file tells of</summary>",
+        "",
+        *listed,
+        "",
+        "</details>",
+    ]
     return "\n".join([f"{TITLE}{name}", "", *table, "", *all_of_them, "", found.rstrip(), ""])
 
 

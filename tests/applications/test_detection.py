@@ -15,11 +15,12 @@ from omad.applications.detection.detector import Detection, Detector, called, de
 from omad.applications.detection.judgement import Judgement
 from omad.common.errors import InputError
 from omad.data.procedural import generate
-from omad.data.rendering.depth_noise import ON
+from omad.data.rendering.depth_noise import LEVELS, ON
 from omad.data.rendering.standard_views import standard_view
 from omad.data.rendering.tabletop import Surroundings, Tabletop, TabletopObject, draw_tabletop
 from omad.estimation.categories.fronts import front_says
 from omad.estimation.categories.late import LateEstimator
+from omad.estimation.checks import scaled
 from omad.geometry.camera import STANDARD_CAMERA
 from omad.model.fronts.network import shipped_front_net
 from omad.objects.category_file import get_category
@@ -109,6 +110,18 @@ def test_a_scale_at_which_things_are_objects_is_named(name: str, factor: float, 
     as_true = [one.probability for one in detector._at_scale(look, 1 / factor)]
     np.testing.assert_allclose(as_true, [one.probability for one in true.detections], atol=0.05)
     assert list(detector.scale_doubts(replace(true, detections=true.detections[-1:]), 0.001)) == []
+
+
+def test_a_scale_is_named_of_an_object_that_was_cut_out_already() -> None:
+    """Then what is taken for table or floor are its own plates."""
+    category, detector = omad.get_category("laptop"), Detector([LateEstimator.of("laptop")])
+    view = standard_view(generate(category, 3, "test"), category, (4, 3), LEVELS["on"])
+    found = detector.look(view.observation())
+    assert [one.category for one in found.detections] == ["laptop"]
+    look = detector.look(scaled(view.observation(), 4.0))
+    assert not any(one.category for one in look.detections)
+    [said] = detector.scale_doubts(look, 0.001)
+    assert said.endswith("5 or 4 times too large; --depth-scale 0.0002 or 0.00025")
 
 
 def test_things_of_other_categories_speak_for_no_other_scale() -> None:

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from PIL.PngImagePlugin import PngInfo
 
 import omad
 from helpers.command_line import LAPTOP, K, answer, laptop_view, save_png
@@ -33,8 +34,8 @@ def depths() -> np.ndarray:
     return np.stack([np.roll(depth, (3 * (i % 4), -4 * i), (0, 1)) for i in range(MANY)])
 
 
-def png(image: np.ndarray) -> bytes:
-    return stored(Image.fromarray(image).save, "PNG")
+def png(image: np.ndarray, **options) -> bytes:
+    return stored(Image.fromarray(image).save, "PNG", **options)
 
 
 def stored(write, *args, **named) -> bytes:
@@ -111,6 +112,9 @@ def test_images_cameras_and_masks_in_their_formats(service):
     told = {"intrinsics": b"\xef\xbb\xbf" + json.dumps(K | {"depth_scale": 0.0005}).encode()}
     for more in ({"depth_scale": b"0.0005"}, told):
         assert_same(service.post(fields(depth=png(depths()[1] * 2), **more)).record, alone(1))
+    text = PngInfo()
+    text.add_text("depth_scale", "0.0005")
+    assert_same(service.post(fields(depth=png(depths()[1] * 2, pnginfo=text))).record, alone(1))
 
 
 def test_the_page_on_request(service):

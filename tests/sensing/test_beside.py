@@ -17,7 +17,7 @@ from omad.common.errors import InputError
 from omad.data.procedural import generate
 from omad.data.rendering.depth_noise import LEVELS
 from omad.data.rendering.standard_views import standard_view
-from omad.estimation.checks import camera_doubts, gravity_doubts
+from omad.estimation.checks import camera_doubts, gravity_doubts, scale_doubts, scaled
 from omad.estimation.estimator import Estimator
 from omad.estimation.known import Known
 from omad.objects.category_file import get_category
@@ -272,6 +272,24 @@ def test_right_focal_lengths_are_hardly_ever_doubted(name):
         seen = view.observation()
         doubted.append(bool(camera_doubts(seen, estimator(seen), estimator.first_answers)))
     assert np.mean(doubted) <= 0.1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["laptop", "eyeglasses", "drawer"])
+def test_depth_scales_of_other_cameras_are_named_where_the_size_does_not_tell_of_them(name):
+    """Those of a RealSense L515 and of TUM's data sets, for that of the right camera, which is not doubted."""
+    estimator, category = Estimator.from_pretrained(name), get_category(name)
+    named = {0.00025: 0, 0.0002: 0, 0.001: 0}
+    for i in range(8):
+        view = standard_view(generate(category, 50 + i, "test"), category, (7, i), LEVELS["on"])
+        for right in named:
+            seen = scaled(view.observation(), 0.001 / right)
+            found = scale_doubts(seen, estimator(seen), estimator.first_answers, 0.001)
+            named[right] += any("--depth-scale 0.0002 or 0.00025, " in check.cure for check in found)
+            assert len(found) <= 1
+    assert named[0.00025] >= 6
+    assert named[0.0002] >= 6
+    assert named[0.001] == 0
 
 
 @pytest.mark.parametrize("turned_by", [90, 180])

@@ -19,6 +19,7 @@ from omad.estimation.checks import (
     if_also,
     is_doubtful,
     no_surer,
+    scale_doubts,
 )
 from omad.estimation.estimate import Estimate
 from omad.estimation.estimator import Estimator
@@ -107,19 +108,30 @@ class Solver:
             best = no_surer(if_also(answer, first.probability), observation.likelihood)
             checks = doubts(observation, best, depth_scale)
             if further:
-                checks += self._told_by_others(observation, answer, checks, own)
+                checks += self._told_by_others(observation, answer, checks, own, depth_scale)
             return Found.of(best, checks, ranking, ranking.is_none)
         return self.judged(observation, self.chosen(observation, self.known), depth_scale, further)
 
     def _told_by_others(
-        self, observation: Observation, estimate: Estimate, found: Sequence[Check], estimator: AnyEstimator
+        self,
+        observation: Observation,
+        estimate: Estimate,
+        found: Sequence[Check],
+        estimator: AnyEstimator,
+        depth_scale: float | None,
     ) -> list[Check]:
         """What speaks against one of which so much was ``found``: what other estimates of its category say, without
-        gravity and with other focal lengths."""
+        gravity, at other depth scales and with other focal lengths."""
         known = self.known.of(estimator.category)
+
+        def again(views: list[Observation]) -> list[Estimate]:
+            return estimator.first_answers(views, known)
+
         checks = gravity_doubts(observation, estimate, known, estimator)
+        if not any(check.name == "size" for check in found):
+            checks += scale_doubts(observation, believed(estimate, found), again, depth_scale)
         if all(check.name in ("residual", "probability") for check in (*found, *checks)):  # a wrong focal length's, too
-            checks += camera_doubts(observation, estimate, lambda views: estimator.first_answers(views, known))
+            checks += camera_doubts(observation, estimate, again)
         return checks
 
     def judged(
@@ -135,7 +147,7 @@ class Solver:
             raise InputError(f"no answer: {checks[0]}")
         if not further:
             return Found.of(answer, checks)
-        checks += self._told_by_others(observation, estimate, checks, chosen)
+        checks += self._told_by_others(observation, estimate, checks, chosen, depth_scale)
         odd_size = any(check.name == "size" for check in checks)  # of which every category says anything
         if (checks and not odd_size) or self.compare:
             ranking = rank(observation, self.all, self.known, always=[chosen.category.name])

@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -55,7 +56,7 @@ class Beside:
                 scale_file = file
             if camera is not None and scale is not None:
                 break
-        if scale is None and (scale := scale_of(_own_text(depth), depth)) is not None:
+        if scale is None and depth.suffix.lower() == ".png" and (scale := scale_in_text(depth, depth)) is not None:
             scale_file = depth
         mask, *colors = _images(depth.parent, stem)
         color = next((file for file in colors if file.is_file()), None)
@@ -79,14 +80,14 @@ def is_picture(file: Path) -> bool:
     return False
 
 
-def _own_text(depth: Path) -> dict[str, Any]:
-    """``depth_scale`` where a PNG's text tells it."""
+def scale_in_text(png: Path | BytesIO, name: str | Path) -> float | None:
+    """``depth_scale``, where a PNG's text tells it; None of other files. Raises InputError with the ``name`` where it
+    is none."""
+    unreadable = suppress(OSError, ValueError, SyntaxError, Image.DecompressionBombError)
     told: Any = None
-    if depth.suffix.lower() == ".png":
-        unreadable = suppress(OSError, ValueError, SyntaxError, Image.DecompressionBombError)
-        with unreadable, Image.open(depth, formats=["PNG"]) as image:
-            told = image.info.get(SCALE)
-    return {} if told is None else {SCALE: told}
+    with unreadable, Image.open(png, formats=["PNG"]) as image:
+        told = image.info.get(SCALE)
+    return None if told is None else scale_of({SCALE: told}, name)
 
 
 def may_lie_beside(depth: Path) -> Iterator[Path]:

@@ -141,7 +141,7 @@ def scale_of(data: Any, name: str | Path) -> float | None:
     with suppress(ValueError):  # YAML takes 1e-4 for a word
         told = float(told) if isinstance(told, str) else told
     if isinstance(told, bool) or not isinstance(told, int | float) or not SCALES[0] <= told <= SCALES[1]:
-        raise InputError(f"{name}: {SCALE} is no number of metres; correct it, or give --depth-scale")
+        raise InputError(f"{name}: {SCALE} is no number of metres; correct it, or take it out")
     return 1 / told if told > 1 else told / 1000 if told >= COARSEST else float(told)
 
 

@@ -12,6 +12,7 @@ from omad.common.arrays import as_doubles
 from omad.common.errors import InputError
 from omad.estimation.categories.late import AnyEstimator, LateEstimator
 from omad.estimation.categories.proposals import Proposals
+from omad.estimation.checks import scaled
 from omad.estimation.estimate import Estimate, chance, plain
 from omad.estimation.known import NOTHING_KNOWN, Known, check_is_known
 from omad.geometry.rigid import box as bounds
@@ -42,6 +43,7 @@ MOST = 0.5
 """Where one thing holds more than this share of what a frame shows, it may be a table with all that is on it."""
 WHOLE = 0.9
 """A thing of which less than this share lies in the box is cut by it."""
+NO_PLANES = np.zeros((0, 4))
 CLEAR = 8.0
 """What is so many times as high as the lowest thing that can be told from a plane is seen well enough."""
 
@@ -131,6 +133,8 @@ class Look:
     planes: np.ndarray
     """(P, 4) n . p = d of points p, metres, camera frame, n towards the camera: table, floor and walls, the largest
     first."""
+    alone: Sequence[Observation] = ()
+    """What the detections may be instead, where the frame may have been cut out already: things before no planes."""
 
     @property
     def support_plane(self) -> np.ndarray | None:
@@ -166,19 +170,19 @@ class Detector:
         turn = self.known.level_turn().astype(np.float32)  # of rolled cameras tables and their floors are found, too
         points = frame.points @ turn
         found = things_before_planes(points, LEAST)
-        found = replace(found, planes=np.c_[found.planes[:, :3] @ turn.T, found.planes[:, 3]])
+        found, things = replace(found, planes=np.c_[found.planes[:, :3] @ turn.T, found.planes[:, 3]]), []
         seen = _of_box(frame, found.clusters, inside)
         judged = self._judged(seen, found.planes)
         if measured_margin(frame) < TOUCHED and len(found.planes):
             # cut out already, perhaps: then the planes were an object's own, and what is left of it looks like another
-            seen = _of_box(frame, things_alone(points, LEAST), inside)
-            alone = self._judged(seen, np.zeros((0, 4)))
-            if (_shown(alone) > _shown(judged)).all():
-                judged, found = alone, replace(found, planes=found.planes[:0])
+            things = _of_box(frame, things_alone(points, LEAST), inside)
+            alone = self._judged(things, NO_PLANES)
+            if shows_more(alone, judged):
+                judged, found = alone, replace(found, planes=NO_PLANES)
         flat = tuple(e.category.name for e in self.estimators if _height(e) < CLEAR * found.lowest)
         turned = turn_doubts(found.planes) if self.known.gravity is None else ()
         doubts = (*_bent(frame), *angle_doubts(found.planes), *turned, *_unsupported(frame, found.planes, judged))
-        return Look(judged, found.lowest, flat, doubts, found.planes)
+        return Look(judged, found.lowest, flat, doubts, found.planes, things)
 
     def scale_doubts(self, look: Look, depth_scale: float | None) -> Iterator[str]:
         """Where a wrong ``depth_scale``, metres per number where known, may be why nothing is of the categories: at
@@ -186,12 +190,12 @@ class Detector:
         sizes = [diagonal(one.observation.points) for one in look.detections]
         if not sizes or any(one.category for one in look.detections):
             return
-        what, best, scale = f"{len(sizes)} things of up to {max(sizes):.2g} m, none of them an object", 0.0, None
+        what, best, scale = f"no object; of {len(sizes)} the largest is {max(sizes):.2g} m", 0.0, None
         for factor in FACTORS:
             sure = [one for one in self._at_scale(look, factor) if one.category and one.probability > SURE_OF_SCALE]
             if (score := sum(one.probability for one in sure)) > best:
                 best, scale = score, WrongScale.of(factor, depth_scale)
-                what = f"{len(sizes)} things, none of them an object, but at another scale {len(sure)} of them"
+                what = f"no object; at another scale {len(sure)} of {len(sizes)} would be"
         asked = [usual_size(estimator.category) for estimator in self.estimators]
         known = [*asked, *(usual_size(get_category(name)) for name in shipped_categories())]
         if scale is None and not min(known) / ODD_SIZE < np.median(sizes) < ODD_SIZE * max(known):
@@ -201,13 +205,18 @@ class Detector:
 
     def _at_scale(self, look: Look, factor: float) -> list[Detection]:
         """The largest things of a look as they would be judged in a frame so many times as large."""
-        largest = sorted((one.observation for one in look.detections), key=lambda thing: len(thing.points))[-TRIED:]
-        scaled = [_scaled(thing, np.float32(factor)) for thing in largest]
-        return self._judged(scaled, look.planes * np.array([1, 1, 1, factor]))
+
+        def judged(things: Iterable[Observation], planes: np.ndarray) -> list[Detection]:
+            largest = sorted(things, key=lambda thing: len(thing.points))[-TRIED:]
+            return self._judged([scaled(thing, factor) for thing in largest], planes)
+
+        found = judged((one.observation for one in look.detections), look.planes * np.array([1, 1, 1, factor]))
+        alone = judged(look.alone, NO_PLANES)
+        return alone if shows_more(alone, found) else found
 
     def whole(self, frame: Observation) -> Detection:
         """All of a frame as one thing, without table, floor and walls."""
-        return self._judged([frame], np.zeros((0, 4)))[0]
+        return self._judged([frame], NO_PLANES)[0]
 
     def _judged(self, seen: Sequence[Observation], planes: np.ndarray) -> list[Detection]:
         """Each of the things that were ``seen`` before ``planes`` (P, 4)."""
@@ -303,6 +312,11 @@ def _unsupported(frame: Observation, planes: np.ndarray, judged: Sequence[Detect
         yield f"a thing of none of the categories holds {share:.0%} of what the frame shows; if that is a table, {so}"
 
 
+def shows_more(judged: Sequence[Detection], than: Sequence[Detection]) -> bool:
+    """Whether the likeliest object is likelier, and all objects have more points."""
+    return bool((_shown(judged) > _shown(than)).all())
+
+
 def _shown(judged: Sequence[Detection]) -> np.ndarray:
     """(2,) how likely the likeliest object is, and how many points all objects have."""
     objects = [one for one in judged if one.category]
@@ -324,11 +338,6 @@ def _of_box(frame: Observation, things: Sequence[np.ndarray], inside: np.ndarray
         told = (f"{beyond}: give a larger box where that is the object's",) if len(part) < WHOLE * of else ()
         seen.append(frame.part(part).warned(*told))
     return seen
-
-
-def _scaled(seen: Observation, factor: np.float32) -> Observation:
-    """All lengths so many times as large."""
-    return replace(seen, points=seen.points * factor, depth=None if seen.depth is None else seen.depth * factor)
 
 
 def _height(estimator: AnyEstimator) -> float:

@@ -3,6 +3,7 @@
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
+from io import BytesIO
 from typing import Any, Self, TypeVar
 
 import numpy as np
@@ -10,6 +11,7 @@ import numpy as np
 from omad.common.errors import InputError, shown
 from omad.common.limits import check_limit
 from omad.objects.builtin import AUTO
+from omad.sensing.beside import scale_in_text
 from omad.sensing.camera_files import parse_camera
 from omad.sensing.depth_files import parse_depth, parse_mask, parse_own_mask
 from omad.sensing.observation import Observation
@@ -86,7 +88,11 @@ class Asked:
         reader, mask = self._reader(find), self._mask()
         if mask is None:
             reader.check_mask_id()
-        return reader.observe(parse_depth(self.depth, "depth", self.depth_scale, reader.metres_per_integer()), mask)
+        metres_per_integer = reader.metres_per_integer(self._scale_in_text())
+        return reader.observe(parse_depth(self.depth, "depth", self.depth_scale, metres_per_integer), mask)
+
+    def _scale_in_text(self) -> float | None:
+        return scale_in_text(BytesIO(self.depth), "depth")
 
     def _reader(self, find: Find | None = None) -> InputReader:
         camera, segment = parse_camera(self.intrinsics, "intrinsics"), "plane" if self.segment else None
@@ -109,7 +115,7 @@ class Asked:
     def metres_per_number(self) -> float | None:
         """Of the image, where that can be told without its numbers."""
         integers = self.depth.startswith(PNG_MAGIC)
-        return self.depth_scale or (self._reader().metres_per_integer() if integers else None)
+        return self.depth_scale or (self._reader().metres_per_integer(self._scale_in_text()) if integers else None)
 
 
 def in_fields(message: str) -> str:

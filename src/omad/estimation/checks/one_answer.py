@@ -1,7 +1,6 @@
-"""What to look at where a result is doubtful: each item says what is wrong, why that may be, and what to do."""
+"""What observation and answer alone say against it."""
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -14,12 +13,10 @@ from omad.objects.sizes import is_of_size, usual_size, wrong_scale
 from omad.sensing.cutting.not_depth import ENOUGH, Z_BUFFER, NotDepth, may_be_z_buffer, what_else
 from omad.sensing.observation import Observation
 
-from .confidence.signals import cut_off
-from .estimate import Estimate, chance
-from .evidence import explanation
-from .known import Known
-
-AsksAgain = Callable[[Observation, Known], Estimate]
+from ..confidence.signals import cut_off
+from ..estimate import Estimate, chance
+from ..evidence import explanation
+from .check import Check
 
 HIGH_KEYPOINT_ERROR = 0.07
 """Expected keypoint error (geometric mean, category units; 0.03 is usual) above which the network is not to be
@@ -33,26 +30,11 @@ STRAY = 0.01
 the mask's edge show the floor behind it."""
 SAMPLED = 10_000
 """Points at most, of which it is told."""
-FOCAL_LENGTHS = (0.5, 2 / 3, 0.8, 1.25, 1.5, 2.0)
-"""Of the one given, which may be right instead: those of other sizes of the image."""
-BETTER = 1.5
-"""By how much better model and seen keypoints then fit; with the right one hardly any view of unseen objects does."""
-CERTAIN = 0.999
-"""Probabilities from which on answers are equally likely."""
 UNEXPLAINED = 0.25
 """Share of the pixels of object and surface where the one is where the other is, 0.7 in a usual view, below which they
 are of two things."""
-RARELY = 0.06
-"""Share of answers that are right where the surface that was fitted to the image stays below it, too: two of 33 to
-spoilt views of unseen objects and of other things."""
 HALF_EXPLAINED = 0.5
 """That of a fitted surface of which nothing is said."""
-TILTED, TELLING = 10.0, 0.8
-"""Degrees by which objects seem to lean at most that do not (98 % of noisy views of most categories: 3 to 6), and the
-probability from which on an answer is believed in that."""
-LYING, IN_THE_IMAGE = 30.0, 0.4
-"""Degrees beyond the roll of standard views from which on an object seems to lie on its side (3 of 1000 answers to
-spoilt views of upright chests and appliances did), where at least so much of its up shows in the image."""
 SURE_OF_HAND = 0.75
 """Of views whose hand is told less surely, one in three is taken for its mirror image; of all others one in fifty."""
 SURROUNDED = 0.1
@@ -62,29 +44,6 @@ HARDLY_SEEN = 0.02
 ten does, and its joint state is five to ten times as far off as the others."""
 CUT_OFF = 0.1
 """Pixels at one border of the image from which on the object runs out of it, as a share of its width in pixels."""
-
-
-@dataclass(frozen=True)
-class Check:
-    """One item."""
-
-    name: str
-    """One word, the same for every such check."""
-    what: str
-    """What is unusual, with numbers."""
-    why: str
-    """What it may come from."""
-    cure: str
-    """What to do."""
-    grave: bool = False
-    """Answers of which this is said are hardly ever right (``RARELY``)."""
-
-    def __str__(self) -> str:
-        return f"{self.name}: {self.what}: {self.why}; {self.cure}"
-
-    def to_dict(self) -> dict[str, str]:
-        """For JSON: what a person reads. How grave it is, the probability says."""
-        return {"name": self.name, "what": self.what, "why": self.why, "cure": self.cure}
 
 
 def doubts(observation: Observation, estimate: Estimate, depth_scale: float | None = None) -> list[Check]:
@@ -105,37 +64,6 @@ def doubts(observation: Observation, estimate: Estimate, depth_scale: float | No
         *_surface_doubts(observation, estimate),
     ]
     return found or list(_nothing_else(estimate))
-
-
-def is_doubtful(estimate: Estimate, found: Sequence[Check]) -> bool:
-    """Whether an answer is rather wrong than right: by its probability; where it has none, if something was ``found``
-    to be doubtful."""
-    return bool(found) if estimate.doubtful is None else estimate.doubtful
-
-
-def believed(estimate: Estimate, found: Sequence[Check]) -> Estimate:
-    """The estimate with no higher a probability than what was ``found`` leaves it."""
-    return no_surer(estimate, RARELY) if any(check.grave for check in found) else estimate
-
-
-def warned(estimate: Estimate, found: Sequence[Check]) -> Estimate:
-    """The estimate with what was ``found`` among its warnings, and no surer than that leaves it."""
-    if not found:
-        return estimate
-    return replace(believed(estimate, found), warnings=(*estimate.warnings, *map(str, found)))
-
-
-def no_surer(estimate: Estimate, probability: float) -> Estimate:
-    """The estimate, that it is right being no likelier than so."""
-    if estimate.probability is None or estimate.probability <= probability:
-        return estimate
-    return replace(estimate, probability=probability)
-
-
-def if_also(estimate: Estimate, probability: float) -> Estimate:
-    """The estimate, that it is right only if something else is, too, of a ``probability``: as likely as their product,
-    which keeps its word better than the smaller of both (``benchmarks/certainty/bench_auto_probability.py``)."""
-    return no_surer(estimate, (estimate.probability or 0.0) * probability)
 
 
 def size_doubts(observation: Observation, category: Category, depth_scale: float | None = None) -> Iterator[Check]:
@@ -197,83 +125,6 @@ def scaled_doubts(observation: Observation) -> Iterator[Check]:
         f"give those of the depth image at {size}: of one that was only scaled {scaled}",
         grave=True,
     )
-
-
-def camera_doubts(
-    observation: Observation, estimate: Estimate, estimator: Callable[[list[Observation]], list[Estimate]]
-) -> list[Check]:
-    """Where an object of the category fits what was seen much better with another focal length: a longer one makes it
-    narrower, and as deep as before. A less likely answer has to fit better by as much as its odds are worse.
-    ``estimator`` is asked once more, for all of ``FOCAL_LENGTHS`` together."""
-    camera, points = observation.camera, observation.points
-    if camera is None:
-        return []
-    views = [replace(observation, points=points / np.array([[k, k, 1]], np.float32)) for k in FOCAL_LENGTHS]
-    found = estimator(views)
-    residuals = np.array([one.residual for one in found])
-    best = int(np.nan_to_num(residuals, nan=np.inf).argmin())
-    less_likely = min(1.0, _odds(found[best]) / _odds(estimate))
-    if not estimate.residual * less_likely > BETTER * residuals[best]:
-        return []
-    likely = f"{FOCAL_LENGTHS[best] * camera.fx:.0f}"
-    times = estimate.residual / residuals[best]
-    what = f"a {estimate.category.name} fits {times:.1f} times as well if the focal length"
-    return [
-        Check(
-            "intrinsics",
-            f"{what} is about {likely} instead of {camera.fx:.0f} pixels",
-            "the intrinsics may be those of another size of the image, or of another camera",
-            f"give those of the depth image at {camera.width}x{camera.height}",
-            grave=True,
-        )
-    ]
-
-
-def gravity_doubts(
-    observation: Observation, estimate: Estimate, known: Known, estimator: AsksAgain, alone: bool = True
-) -> list[Check]:
-    """Where the object seems to stand otherwise than the ``known`` gravity says; ``estimator`` is asked once more,
-    without it, and of an observation ``alone`` by a rolled camera also for what a level one would see: an answer no
-    less likely counts more. Or where gravity is not known, and the object, of a kind that stands, seems to lie."""
-    if known.gravity is None:
-        return list(_lying_doubts(estimate))
-    unknown, up = replace(known, gravity=None), estimate.T_camera_base[:3, 1]
-    free = estimator(observation, unknown)
-    off = np.degrees(np.arccos(np.clip(up @ free.T_camera_base[:3, 1], -1, 1)))
-    if off <= TILTED or free.supposed_probability < TELLING:
-        return []
-    turn = known.level_turn()
-    if alone and not np.array_equal(turn, np.eye(3)):
-        level = estimator(known.as_level(observation), unknown)
-        if up @ turn @ level.T_camera_base[:3, 1] >= np.cos(np.radians(TILTED)) and _odds(level) >= _odds(free):
-            return []
-    return [
-        Check(
-            "gravity",
-            f"without the gravity that was given the {estimate.category.name} stands {off:.0f} degrees otherwise",
-            "the direction may be another one in the camera's frame, or the object does not stand upright",
-            "give the direction in which things fall, x right, y down, z forward, or leave it out; T_world_camera "
-            "takes from the camera to the world",
-            grave=True,
-        )
-    ]
-
-
-def _lying_doubts(estimate: Estimate) -> Iterator[Check]:
-    category, up = estimate.category, estimate.T_camera_base[:3, 1]
-    leaning = float(np.degrees(np.arctan2(abs(up[0]), -up[1])))
-    if np.hypot(up[0], up[1]) > IN_THE_IMAGE and leaning > np.degrees(category.views.roll) + LYING:
-        yield Check(
-            "gravity",
-            f"in the image the {category.name} leans by {leaning:.0f} degrees, and most stand upright",
-            "a side was taken for the top, or the camera was turned, and then more answers are wrong",
-            "give gravity (--gravity), or turn the image upright",
-        )
-
-
-def _odds(estimate: Estimate) -> float:
-    probability = float(np.clip(estimate.supposed_probability, 1 - CERTAIN, CERTAIN))
-    return probability / (1 - probability)
 
 
 def _view_doubts(observation: Observation) -> Iterator[Check]:
