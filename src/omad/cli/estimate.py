@@ -191,6 +191,8 @@ class EstimateCommand(CategoryCommand):
         notes = [picture.how_sure(estimate), "" if estimate.converged else "not converged"]
         note = ", ".join(filter(None, notes))
         _say(f"{file}: {name}{joints}{note and f' ({note})'} -> {folder}")
+        if self.compare and found.ranking is not None:
+            _say(f"{file}: of all categories: {_named(found.ranking)}")
         for warning in warnings:
             _say(f"{file}: warning: {warning}")
         if found.checks:
@@ -240,7 +242,8 @@ class Detect(CategoriesCommand):
     """Of objects that stand upright: x,y,z, where down is in the camera frame (y is down in a level camera). Without
     it, cameras that were turned take sides for tops."""
     depth_scale: float | None = None
-    """Metres per stored number; default 0.001 for integer images, 1 for floats and clouds."""
+    """Metres per stored number; default: what the file of --intrinsics or one beside the image tells, else 0.001 for
+    integers, and 1 for floats and clouds."""
     camera: OmitArgPrefixes[CameraOptions] = CameraOptions()
     output: Path = Path("omad-detect")
     """Folder for detect.json and detect.png."""

@@ -14,10 +14,11 @@ from tyro.conf import OmitArgPrefixes, Positional
 
 from omad.common.errors import InputError
 from omad.common.lazy import lazy_imports
+from omad.common.processes.signals import exit_code
 from omad.sensing.input_options import InputOptions
 
 from .answer import Answer
-from .options import CategoryCommand, CategoryName, Seed, check_positive
+from .options import CategoryCommand, CategoryName, Seed, check_positive, check_unused
 
 with lazy_imports():
     from omad.applications.explorer.fitting import FitRequest, fit_demo, fit_file
@@ -55,6 +56,8 @@ class Explore(CategoryCommand):
         check_positive(depth_scale=self.reading.depth_scale, components=self.components)
         if self.demo and self.depth is not None:
             raise InputError("--demo and --depth: give one of them; both are things to fit at the start")
+        if self.depth is None:
+            check_unused(self.reading, "goes with --depth")
         if importlib.util.find_spec("viser") is None:
             raise InputError("omad explore needs the viewer library viser; pip install 'omad[explore]'")
         port, places = free_port(self.host, self.port), self._places()
@@ -71,7 +74,7 @@ class Explore(CategoryCommand):
                 if fit is not None:
                     page.show_fit(fit)
                 print(f"omad: {url} (Ctrl-C ends it)", file=sys.stderr, flush=True)
-                while True:  # Windows tells a wait without an end of no Ctrl-C
+                while not exit_code():  # of Ctrl-C that a library kept; Windows tells endless waits of none
                     time.sleep(1)
         except KeyboardInterrupt:  # SIGTERM, too
             print("omad: ended", file=sys.stderr)

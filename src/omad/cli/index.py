@@ -29,6 +29,7 @@ from .options import (
     Seed,
     Weights,
     check_positive,
+    check_unused,
     prior_of,
 )
 
@@ -48,7 +49,7 @@ with lazy_imports():
     )
     from omad.common.batches import progress
     from omad.common.incoming import address_of, is_path
-    from omad.data.source import ViewSource, is_generated, kind_of, load_models, load_views
+    from omad.data.source import ModelSource, ViewSource, is_generated, kind_of, load_models, load_views
     from omad.data.urdf_import.folder import is_urdf
     from omad.model.checkpoint import find_weights
     from omad.objects.category import Category
@@ -58,6 +59,7 @@ with lazy_imports():
 
 UNITS = {"keypoints": "m", "beta": "", "whitened": "std"}
 """What a distance of each metric is in."""
+READING = "goes with a folder of depth images or clouds"
 MIRRORED = " in the mirror"
 """Behind the distance of an object of the other hand."""
 
@@ -118,7 +120,7 @@ class IndexBuild(CategoryCommand):
         elif files:
             names, read = [_stamped(file, Path(self.source)) for file in files], repr((self.reading, self.fuse))
         else:
-            found = load_models(self.source, estimator.category, self.objects, "test", self.seed)
+            found = self._models(estimator.category)
             models = list(found.models)
             names = [model.name if self.source in MADE else _measured(model) for model in models]
             refused += found.refused
@@ -188,7 +190,13 @@ class IndexBuild(CategoryCommand):
         """Those that the source holds, without the first ``taken``; None where it holds none."""
         if kind_of(self.source).images is None:
             return None
+        check_unused(self.reading, READING)
         return load_views(self.source, category, 1, 1, self.seed, "off", self.broken, taken, self.fuse)
+
+    def _models(self, category: Category) -> ModelSource:
+        found = load_models(self.source, category, self.objects, "test", self.seed)
+        check_unused(self.reading, READING)
+        return found
 
     @cached_property
     def _files(self) -> list[Path]:
@@ -212,7 +220,7 @@ class IndexBuild(CategoryCommand):
             seen = self._read(Path(self.source), files, refused)
         else:  # models, whose meshes look like clouds
             net = prior_of(find_weights(self.weights or self.category), self.device)
-            models = load_models(self.source, category, self.objects, "test", self.seed)
+            models = self._models(category)
             return replace(catalogue.from_models(net, models.models, self.source), refused=models.refused)
         return replace(catalogue.from_observations(estimator, seen, self.fuse), refused=refused)
 

@@ -151,12 +151,16 @@ def run(arguments: list[str]) -> int:
 
 def check_options(options: Any, arguments: Sequence[str] = ()) -> None:
     """Raises InputError for what no file can be called, for a seed that is none, and for an option among the
-    ``arguments`` that is to name something and names nothing, as a shell's variable that is not set does."""
+    ``arguments`` that is to name something and names nothing, as a shell's variable that is not set does, or that takes
+    a list and is given twice."""
     for field in fields(options):
         value, option = getattr(options, field.name), f"--{field.name.replace('_', '-')}"
-        for name in (option, ALIASES.get(field.name)):
-            if value == field.default == () and name in arguments:
-                raise InputError(f"{name}: names nothing; name at least one, or leave it out")
+        names = (option, ALIASES.get(field.name))
+        given = [argument for argument in arguments if argument.split("=")[0].replace("_", "-") in names]
+        if given and value == field.default == ():
+            raise InputError(f"{given[0]}: names nothing; name at least one, or leave it out")
+        if len(given) > 1 and isinstance(value, tuple):
+            raise InputError(f"{given[1]}: was given before, and only the last counts; put all behind one {option}")
         if field.name == "seed":
             check_seed(value)
         for path in value if isinstance(value, tuple) else (value,):

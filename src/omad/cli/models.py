@@ -85,6 +85,8 @@ class Import:
 
     def run(self) -> Answer:
         check_positive(scale=self.scale)
+        if self.mesh_folder is not None and not self.mesh_folder.is_dir():
+            raise InputError(f"--mesh-folder {self.mesh_folder}: no such folder")
         category = omad.get_category(self.category)
         found = import_folder(self.source, category, self.output, self.scale, self.missing_meshes, self.mesh_folder)
         if not found.models and len(found.refused) == 1:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from itertools import islice
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -130,6 +130,13 @@ class Cluster:
         check_positive(shard=shard)
         plan = Plan(Store.of(output), work, total, shard)
         return Sharded(plan, run_shards(plan, made_of, choose_engine(workers, gpus=float(device == "cuda"))))
+
+
+def check_unused(options: Any, because: str) -> None:
+    """Raises InputError for one of the ``options`` that was given, and has no effect."""
+    for field in fields(options):
+        if getattr(options, field.name) != field.default:
+            raise InputError(f"--{field.name.replace('_', '-')}: {because}; leave it out")
 
 
 MADE = ("procedural", "unusual", "mirrored")

@@ -107,6 +107,8 @@ class Track(CategoryCommand):
             raise InputError("--live: shows the recording in place of writing it; leave it out, or --formats rrd")
         check_formats(self.formats)
         stream = self.frames == STREAM
+        if self.frames is not None and not stream and self.output.resolve() == self.frames.resolve():
+            raise InputError(f"--output {self.output}: is the folder of the frames; give another")
         places = None if self.world is None else CameraPlaces(self.world)
         if self.static_base and places is not None and places.one is None:
             raise InputError("--static-base: the camera stands still, but --world is a folder; leave one of them out")

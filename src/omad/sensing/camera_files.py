@@ -199,7 +199,8 @@ def parse_distortion(text: str) -> Distortion | None:
         return None
     model, _, listed = text.rpartition(":")
     numbers = _numbers(listed)
-    if numbers is None or (not model and len(numbers) not in (4, 5, 8)):
+    counts = {"": (4, 5, 8), "equidistant": (4,)}.get(_model_name(model) or "")
+    if numbers is None or (counts is not None and len(numbers) not in counts):
         need = "k1,k2,p1,p2,k3 (4, 5 or 8 numbers as OpenCV orders them), equidistant:k1,k2,k3,k4, or none"
         raise InputError(f"--distortion {text}: give {need}")
     return Distortion(_model_name(model) or "plumb_bob", tuple(numbers.tolist()))

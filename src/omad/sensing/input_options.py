@@ -25,7 +25,8 @@ class InputOptions:
     segment: Literal["plane"] | None = None
     """plane: take away the dominant plane and keep the largest thing on it (tens of milliseconds an image)."""
     depth_scale: float | None = None
-    """Metres per stored number; default 0.001 for integer images, 1 for floats and clouds."""
+    """Metres per stored number; default: what the file of --intrinsics or one beside the image tells, else 0.001 for
+    integers, and 1 for floats and clouds."""
 
 
 @dataclass(frozen=True)

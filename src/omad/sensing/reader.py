@@ -123,6 +123,8 @@ class InputReader:
             raise InputError(f"--mask and --box need a depth image; {cure}")
         if self.color is not None or self.colour is not None:
             raise InputError("--color and --color-intrinsics need a depth image; leave them out of a cloud")
+        if self.distortion is not None:
+            raise InputError("--distortion needs a depth image; leave it out of a cloud")
         points = read_cloud(file) * (self.depth_scale or 1.0)
         if self.find is None or self.segment is not None:
             return Observation.from_points(points, self.segment, self.drop_flying)

@@ -91,7 +91,7 @@ class TrainSurface:
         prior = self.prior or (own if own.is_dir() else shipped_prior(self.category))
         net = load(PriorNet, prior).to(pick_device(self.device))
         check_category("--prior", prior, net.category, self.category)
-        estimator = _answering(folder)
+        estimator = _answering(folder, self.device)
         if prior_fingerprint(net.prior, net.category) != prior_fingerprint(estimator.net.prior, estimator.category):
             raise InputError(f"{prior}: is not the prior that {folder} was trained with; give that one with --prior")
         _check_folder_of(self.weights, folder, banks.FILE)
@@ -173,13 +173,13 @@ class TrainConfidence(CategoryCommand):
         return Answer(record | fitting.measured(confidence, others, category), confidence_text)
 
 
-def _answering(folder: Path) -> omad.Estimator:
+def _answering(folder: Path, device: str) -> omad.Estimator:
     """With what the weights know of their errors, but where that asks for surfaces that are yet to be made, or is of
     other weights."""
     try:
-        return omad.Estimator.from_pretrained(folder)
+        return omad.Estimator.from_pretrained(folder, device)
     except InputError:
-        return omad.Estimator(load(OmadNet, folder), device=pick_device("auto"))
+        return omad.Estimator(load(OmadNet, folder), device=pick_device(device))
 
 
 def _check_folder_of(weights: Path | None, folder: Path, file: str) -> None:
