@@ -245,6 +245,7 @@ def test_an_endless_field_that_is_sent_as_a_file_is_not_read(service):
     sent = form(fields(box=b"12," * 1_000_000)).replace(b'name="box"', b'name="box"; filename=x')
     reply = service.ask("POST", "/estimate", sent, {"Content-Type": FORM})
     assert (reply.status, reply.record["error"][:24]) == (400, "box: the text has 3e+06,")
+    assert reply.record["error"].endswith("; give a smaller one")
 
 
 def test_messages_name_fields_and_no_options(service):

@@ -142,6 +142,15 @@ def test_few_points_still_give_an_answer(estimator):
     assert np.isfinite(estimator(sparse).keypoints).all()
 
 
+def test_what_is_written_into_arrays_of_an_answer_is_not_in_the_answer(estimator):
+    estimate = estimator(observe(some_views(estimator, 1)[0]))
+    told, model = estimate.to_json(), estimate.object_model()
+    for array in (estimate.T_camera_part, estimate.T_camera_base, estimate.joint_states, model.axes, model.pivots):
+        array[...] = 9
+    assert estimate.to_json() == told
+    assert np.allclose(np.linalg.norm(estimate.object_model().axes, axis=1), 1)
+
+
 def test_json_has_what_is_promised(estimator):
     estimate = estimator(observe(some_views(estimator, 1)[0]))
     answer = json.loads(estimate.to_json())

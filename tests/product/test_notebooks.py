@@ -1,9 +1,11 @@
 """The notebooks run as they stand, and their kept outputs are small."""
 
 import importlib
+import re
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -32,6 +34,16 @@ def test_kept_outputs_are_small_and_without_errors(path):
         assert "Estimate of a my_microwave: door_joint" in str(outputs)
 
 
+def texts(notebook) -> str:
+    """What it has printed."""
+    return "".join(str(output.get("text", "")) for cell in notebook.cells for output in cell.get("outputs", []))
+
+
+def states(said: str) -> list[float]:
+    """Joint states that were estimated, degrees or centimetres."""
+    return [float(state) for state in re.findall(r"(-?[\d.]+)(?:°| cm) ±", said)]
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_it_runs(path, tmp_path, monkeypatch):
@@ -40,8 +52,10 @@ def test_it_runs(path, tmp_path, monkeypatch):
     if path.stem == "open-a-drawer":
         pytest.importorskip("mujoco", reason="the simulator is an extra: pip install mujoco")
     monkeypatch.setenv("PYTHONPATH", ":".join(entry for entry in sys.path if entry))
-    executed = importlib.import_module("run_notebooks").executed(path, tmp_path)
-    said = "".join(str(output.get("text", "")) for cell in executed.cells for output in cell.get("outputs", []))
+    said = texts(importlib.import_module("run_notebooks").executed(path, tmp_path))
+    if path.stem != "own-category":  # what is trained in seconds is another thing on every machine
+        kept = texts(importlib.import_module("nbformat").read(path, as_version=4))
+        assert np.allclose(states(said), states(kept), atol=0.5)
     if path.stem == "open-a-drawer":
         opened = float(said.split("is open by ")[1].split(" cm")[0])
         assert abs(opened - 20) < 3

@@ -203,6 +203,8 @@ def test_ids_are_whole_numbers_of_any_kind(form: Callable) -> None:
     assert np.array_equal(as_mask(several(), form(2)), MASK)
     file = {"annotations": [{"id": 2, "segmentation": MASK}, {"id": 4, "segmentation": ~MASK}]}
     assert np.array_equal(as_mask(file, form(2)), MASK)
+    if form in (int, np.int64):  # beyond what a float tells apart
+        assert np.array_equal(as_mask(np.where(MASK, 2**53 + 1, 2**53), form(2**53 + 1)), MASK)
 
 
 @pytest.mark.parametrize("wrong", ["1", 1.5, np.nan, pytest.param(10**400, id="long"), [1, 2], None.__class__])

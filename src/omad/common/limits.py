@@ -4,6 +4,7 @@ Files come from strangers: a few bytes may unpack to gigabytes. Whoever needs mo
 ``OMAD_LIMITS="image_pixels=2e8,cloud_points=5e7"``.
 """
 
+import math
 import os
 from contextlib import suppress
 from dataclasses import dataclass, fields
@@ -13,6 +14,8 @@ from typing import Self
 from .errors import InputError
 
 VARIABLE = "OMAD_LIMITS"
+BEYOND = 2**62
+"""What no limit can be raised to."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +68,7 @@ class Limits:
             value = 0.0
             with suppress(ValueError):
                 value = float(number)
-            if name not in known or not 1 <= value < 2**62:
+            if name not in known or not 1 <= value < BEYOND:
                 raise InputError(f"{VARIABLE}: {word!r} is no limit; give name=number with {', '.join(sorted(known))}")
             given[name] = int(value)
         return cls(**given)
@@ -81,6 +84,7 @@ def check_limit(name: str, size: float, what: str) -> None:
     """Raises InputError where ``size`` is beyond the limit called ``name``; ``what`` is so large, as "the image"."""
     most = getattr(limits(), name)
     if size > most:
+        cure = f", or raise the limit with {VARIABLE}={name}={math.ceil(size)}" if size < BEYOND else ""
         size = min(size, 1e300)  # what is beyond cannot be written as a float
         said = f"{what} has {size:.6g}, more than {most} ({name.replace('_', ' ')})"
-        raise InputError(f"{said}; give a smaller one, or raise the limit with {VARIABLE}={name}={size:.3g}")
+        raise InputError(f"{said}; give a smaller one{cure}")

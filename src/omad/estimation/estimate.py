@@ -75,12 +75,12 @@ class PoseEstimate(PosedObject):
     @property
     def T_camera_part(self) -> np.ndarray:
         """(K, 4, 4) canonical rest coordinates of each part to camera."""
-        return self.placed.T_camera_part
+        return self.placed.T_camera_part.copy()
 
     @property
     def T_camera_base(self) -> np.ndarray:
         """(4, 4) canonical base frame to camera."""
-        return self.T_camera_part[0].copy()
+        return self.T_camera_part[0]
 
     @property
     def joint_states(self) -> np.ndarray:

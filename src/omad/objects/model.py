@@ -94,7 +94,7 @@ class ObjectModel:
         tree = category.metric_tree if motions is None else replace(category.metric_tree, motions=tuple(motions))
         limits = category.metric_limits if limits is None else limits
         links, joints = (tuple(each.name for each in specs) for specs in (category.parts, category.joints))
-        axes, pivots = np.asarray(axes), np.asarray(pivots)
+        axes, pivots = np.array(axes), np.array(pivots)
         at_most = tuple(joint.at_most for joint in category.joints)
         return cls(name, category.name, links, tuple(parts), joints, tree, axes, pivots, limits, at_most)
 

@@ -6,6 +6,7 @@ COCO's run lengths are those of pycocotools (Lin et al., "Microsoft COCO", 2014)
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from numbers import Integral
 from os import PathLike
 from typing import Any
 
@@ -99,7 +100,7 @@ def as_mask(values: Any, mask_id: int | None = None) -> np.ndarray:
 def _whole(mask_id: Any) -> int:
     if not (told := number(mask_id)).is_integer():
         raise InputError(f"mask_id: is {shown(repr(mask_id))}; give a whole number")
-    return int(told)
+    return int(mask_id if isinstance(mask_id, Integral) else told)  # a float holds no id beyond 2^53
 
 
 def are_annotations(values: Any) -> bool:

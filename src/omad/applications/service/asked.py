@@ -25,6 +25,7 @@ A_NAME = 4096
 """Bytes: what is shorter, and text, is the name of a file that was not sent."""
 HERE = {
     r",? or (on the command line )?--[a-z-]+[^,;:)]*": "",
+    r",? or raise the limit with OMAD_LIMITS=[^,;:)]*": "",
     r"\bomad estimate a mask": "a mask",
     r"\bestimate\.html": "the page (format html)",
     r"\blook at estimate\.png[^;]{0,300}; ": "",
