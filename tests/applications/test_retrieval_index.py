@@ -2,6 +2,7 @@
 
 import importlib.util
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,7 +12,14 @@ from helpers.categories import LAPTOP
 from omad.applications.retrieval.index import Entry, Hit, ShapeIndex
 from omad.applications.retrieval.picture import MOST, ranking_figure
 from omad.applications.retrieval.search import ExactSearch
-from omad.applications.retrieval.signature import Signature, Space, check_one_hand, fuse, prior_fingerprint
+from omad.applications.retrieval.signature import (
+    Signature,
+    Space,
+    check_one_hand,
+    estimate_signature,
+    fuse,
+    prior_fingerprint,
+)
 from omad.common.errors import InputError
 from omad.model.prior import OmadPrior
 from omad.output.picture import save
@@ -381,3 +389,9 @@ def test_a_long_ranking_is_no_taller_than_it_needs_to_be():
     assert len(titles) == 1 + MOST
     top = figure.axes[0].get_position().y1
     assert (1 - top) * figure.get_figheight() < 0.5  # inches above the first row
+
+
+def test_a_signature_is_as_sure_of_the_shape_as_the_estimate():
+    beta, covariance = np.arange(4.0), np.diag(np.arange(11.0))  # the base's six, one joint's, and those of beta
+    made = estimate_signature(SimpleNamespace(beta=beta, covariance=covariance, category=LAPTOP), "prior")
+    assert np.array_equal(made.covariance, np.diag(np.arange(7.0, 11.0)))

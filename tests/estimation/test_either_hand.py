@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from scipy.spatial.transform import Rotation
 from scipy.special import expit
 
 import omad
@@ -16,10 +17,11 @@ from omad.data.rendering.standard_views import standard_view, true_pose
 from omad.data.source import load_models
 from omad.data.urdf_import.folder import import_with_notes
 from omad.estimation.estimator import Estimator
-from omad.estimation.known import Known
-from omad.estimation.looks.beginning import ANYWHERE
+from omad.estimation.known import Known, Near
+from omad.estimation.looks.beginning import ANYWHERE, Beginning
 from omad.estimation.looks.either_hand import surer_hands, told
 from omad.evaluation.metrics import pose_errors
+from omad.geometry.rigid import mirrored, turned_about
 from omad.geometry.transforms import MIRROR_X
 from omad.objects.category import Category
 from omad.objects.urdf import write_urdf
@@ -101,7 +103,12 @@ def test_an_answer_in_the_mirror_is_consistent_and_mirrored_back_the_same(estima
         np.testing.assert_allclose(moved[:3] * MIRROR_X, there[:3], atol=1e-12)
     for mesh, other in zip(estimate.object_model().parts, image.object_model().parts, strict=True):
         np.testing.assert_allclose(mesh.vertices * MIRROR_X, other.vertices, atol=1e-6)
-    again = image.in_mirror()
+    again, flip = image.in_mirror(), np.diag(MIRROR_X)
+    turns, shifts = slice(3), slice(3, 6)  # in a mirror a rotation vector's image is its negative
+    for rows, columns, sign in ((turns, turns, 1), (shifts, shifts, 1), (turns, shifts, -1)):
+        expected = sign * flip @ estimate.covariance[rows, columns] @ flip
+        np.testing.assert_allclose(image.covariance[rows, columns], expected)
+    np.testing.assert_allclose(image.covariance[6:, 3:6], estimate.covariance[6:, 3:6] @ flip)
     np.testing.assert_allclose(again.covariance, estimate.covariance)
     np.testing.assert_allclose(again.T_camera_part, estimate.T_camera_part)
 
@@ -130,6 +137,34 @@ def test_what_is_seen_in_a_mirror_gets_the_mirrored_answer(estimator, views):
         assert set(one.seconds) == {"network", "refinement"}
 
 
+def same(one: omad.Estimate, other: omad.Estimate) -> None:
+    """Each is the other's image."""
+    assert one.of_other_hand != other.of_other_hand
+    np.testing.assert_allclose(one.in_mirror().T_camera_part, other.T_camera_part, atol=1e-6)
+    np.testing.assert_allclose(one.joint_states, other.joint_states, atol=1e-6)
+
+
+def test_what_is_known_goes_into_the_mirror_with_what_is_seen(estimator, views):
+    view = views[0]
+    seen, image, down = view.observation(), view.observation().mirrored(), -view.T_camera_base[:3, 1]
+    one = estimator(seen)
+    same(estimator(seen, Known(gravity=down)), estimator(image, Known(gravity=down * MIRROR_X)))
+    near = Near(view.T_camera_base, one.joint_states, one.beta, np.eye(len(one.beta)))
+    there = replace(near, T_camera_base=mirrored(near.T_camera_base))
+    same(estimator.near(seen, near), estimator.near(image, there))
+    frames = turned_about(Rotation.from_rotvec([0.3, -0.5, 0.2]).as_matrix(), np.array([0.1, 0.4, 2.0]))[None]
+    np.testing.assert_allclose(Beginning(frames=frames).mirrored().frames, mirrored(frames))
+
+
+def test_a_filtered_answer_keeps_its_hand(estimator, views):
+    for observation in (views[0].observation(), views[0].observation().mirrored()):
+        one = estimator(observation)
+        here = Near(one.T_camera_base, one.joint_states, one.beta, np.eye(len(one.beta)))
+        moved = estimator.moved(one, here, one.covariance)
+        assert moved.of_other_hand == one.of_other_hand
+        np.testing.assert_allclose(moved.keypoints, one.keypoints, atol=1e-4)
+
+
 def test_a_hand_that_is_known_is_taken(estimator, views):
     seen = views[0].observation()
     assert [estimator(seen, Known(mirrored_probability=p)).of_other_hand for p in (0.0, 1.0)] == [False, True]
@@ -148,6 +183,9 @@ def test_several_views_agree_on_a_hand(estimator):
     assert len({answer.of_other_hand for answer in answers}) == 1
     for T, answer in zip(poses, answers, strict=True):
         np.testing.assert_allclose(T @ answer.T_camera_base, poses[0] @ answers[0].T_camera_base, atol=1e-6)
+    images = [view.observation().mirrored() for view in views]
+    for one, other in zip(answers, estimator(images, T_world_camera=mirrored(np.stack(poses))), strict=True):
+        same(one, other)
 
 
 def test_the_likelier_hand_is_taken_and_without_one_the_surer(views):

@@ -151,6 +151,14 @@ def test_what_is_written_into_arrays_of_an_answer_is_not_in_the_answer(estimator
     assert np.allclose(np.linalg.norm(estimate.object_model().axes, axis=1), 1)
 
 
+def test_a_filtered_answer_is_as_unsure_as_the_filter(estimator):
+    one = estimator(observe(some_views(estimator, 1)[0]))
+    here = Near(one.T_camera_base, one.joint_states, one.beta, np.eye(len(one.beta)))
+    wider = estimator.moved(one, here, 4 * one.covariance)
+    np.testing.assert_allclose(wider.base_std, 2 * one.base_std)
+    assert wider.joints[0].state_std == pytest.approx(2 * one.joints[0].state_std)
+
+
 def test_json_has_what_is_promised(estimator):
     estimate = estimator(observe(some_views(estimator, 1)[0]))
     answer = json.loads(estimate.to_json())

@@ -13,7 +13,7 @@ from omad.data.rendering.depth_noise import LEVELS
 from omad.data.rendering.standard_views import View, standard_view, views_together
 from omad.estimation import estimator as module
 from omad.estimation.estimator import Estimator
-from omad.estimation.several_views import Rig
+from omad.estimation.several_views import CONTRADICTS, SAME_SLIDE, Rig, contradictions
 from omad.geometry.rigid import carry, rigid, turned_about
 from omad.model.fitting.energy import RefinementConfig
 from omad.model.fitting.refinement import Refiner
@@ -196,6 +196,24 @@ def test_views_that_agree_are_not_doubted(name):
         for estimate in estimator(observations, T_world_camera=T):
             assert not [warning for warning in estimate.warnings if "views: " in warning or "joints: " in warning]
             assert [joint.name for joint in estimate.joints_alone] == [joint.name for joint in estimate.joints]
+
+
+@pytest.mark.parametrize("name", ["drawer", "stapler"])
+def test_views_contradict_an_answer_beyond_shares_of_the_unit(name):
+    category = omad.get_category(name)
+    view = standard_view(generate(category, 3, "test"), category, (1, 3))
+    estimate, unit = Estimator.from_pretrained(name, device="cpu")(view.observation()), category.metres_per_unit
+    for shift, told in ((0.9, []), (1.1, ["views"])):
+        aside = estimate.keypoints + [shift * CONTRADICTS * unit, 0, 0]
+        found = replace(estimate, joints_alone=estimate.joints, observed_keypoints=aside)
+        assert [check.name for check in contradictions(found)] == told
+    if name == "drawer":
+        here = replace(estimate, observed_keypoints=estimate.keypoints)
+        for travel, told in ((0.9, []), (1.1, ["joints"])):
+            first, *rest = (replace(joint, state_std=1e-6) for joint in estimate.joints)
+            alone = replace(first, state=first.state + travel * SAME_SLIDE * unit)
+            found = replace(here, joints_alone=(alone, *rest))
+            assert [check.name for check in contradictions(found)] == told
 
 
 def test_what_is_no_such_object_still_gets_an_answer(estimator):

@@ -67,6 +67,11 @@ def test_what_is_not_taken_stays_and_deviations_shrink_as_errors_did(estimate):
     shrunk = np.sqrt(found.covariance.diagonal() / estimate.covariance.diagonal())
     assert shrunk[:6] == pytest.approx(1)
     assert shrunk[6] == pytest.approx(0.5)
+    assert np.allclose(found.base_std, estimate.base_std)
+    closer = sharing(estimate, 0.5, 0.5).to_surface()
+    shrunk = np.sqrt(closer.covariance.diagonal() / estimate.covariance.diagonal())[:6]
+    assert shrunk == pytest.approx(0.5)
+    assert np.allclose(closer.base_std, shrunk * estimate.base_std)
     assert found.seconds["surface"] > 0
     assert sharing(estimate, 0.0, 0.0).to_surface().seconds == estimate.seconds
 

@@ -13,6 +13,7 @@ from omad.applications.bulk.stream import Frame
 from omad.common.errors import InputError
 from omad.geometry.lens import Distortion
 from omad.sensing.camera_files import read_camera
+from omad.sensing.foreign.images import eight_bits
 from omad.sensing.observation import Observation
 
 BROWN = [0.1, -0.2, 0.001, -0.0005, 0.03]
@@ -175,10 +176,20 @@ def test_ros_masks_colours_and_compressed_depth(tmp_path, plain):
     assert np.array_equal(seen.color, bgr[..., ::-1])
 
 
+def test_colours_up_to_one_may_overshoot_it_a_little():
+    assert eight_bits(np.array([-0.01, 0.5, 1.01])).tolist() == [0, 127, 255]
+    assert eight_bits(np.array([0.5, 128.0, 255.0])).tolist() == [0, 128, 255]
+
+
 @pytest.mark.parametrize("dtype", ["f4", "f8"])
 def test_clouds_of_ros_and_open3d(dtype, plain):
     points = plain.points.astype(np.float32)
-    assert np.array_equal(Observation.from_points(cloud(points, dtype)).points, points)
+    message = cloud(points, dtype)
+    assert np.array_equal(Observation.from_points(message).points, points)
+    rows = np.pad(message.data[: 64 * (len(points) // 2)].reshape(2, -1), ((0, 0), (0, 16)), constant_values=255)
+    told = {"height": 2, "width": len(points) // 2, "row_step": rows.shape[1], "data": rows.ravel()}
+    padded = Observation.from_points(SimpleNamespace(**vars(message) | told))
+    assert np.array_equal(padded.points, points[: 2 * (len(points) // 2)])
     assert np.array_equal(Observation.from_points(SimpleNamespace(points=points.astype(float))).points, points)
 
 

@@ -258,6 +258,14 @@ def test_lenses_are_read_from_the_command_line():
         assert "\n" not in str(error.value)
 
 
+def test_a_mask_of_a_colour_camera_in_the_same_place_is_that_of_depth():
+    depth, mask = np.full((120, 160), 1.5), np.zeros((120, 160), bool)
+    mask[:, [11, 77, 150]] = True
+    K = np.array([[83.0, 0, 79.3], [0, 83, 59.6], [0, 0, 1]])
+    same = ColourCamera(CameraFile(K, None, (160, 120)), np.eye(4))
+    assert np.array_equal(same.depth_mask(depth, Camera.from_K(K, 160, 120), mask, None), mask)
+
+
 def test_boxes_are_of_the_image_that_was_given():
     lens, depth = Distortion("equidistant", (0.0,)), np.full((120, 160), 2.0, np.float32)
     depth[:, ::2] = 1.5

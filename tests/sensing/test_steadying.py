@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from omad.geometry.camera import STANDARD_CAMERA
+from omad.geometry.camera import STANDARD_CAMERA, Camera
 from omad.geometry.lens import Distortion
 from omad.sensing.observation import Observation
 from omad.sensing.steadying import JUMP, REACH, steadied
@@ -25,6 +25,19 @@ def test_depth_is_the_mean_of_the_surface_around_it() -> None:
         around = depth[max(row - REACH, 0) : row + REACH + 1, max(column - REACH, 0) : column + REACH + 1]
         same = around[np.abs(around - depth[row, column]) < JUMP * depth[row, column]]
         assert np.isclose(point[2], same.mean(), rtol=1e-5)
+
+
+def test_of_a_large_image_neighbours_are_those_that_are_looked_at() -> None:
+    rng = np.random.default_rng(0)
+    depth = (1 + rng.normal(0, 0.005, (1080, 1920))).astype(np.float32)
+    seen = Observation.from_depth(depth, Camera(1920, 1080, 1400.0, 1400.0, 959.5, 539.5))
+    assert seen.every == 2
+    assert seen.pixels is not None
+    kept = depth[::2, ::2]
+    some = rng.choice(len(seen.pixels), 300, replace=False)
+    for point, (column, row) in zip(steadied(seen).points[some], seen.pixels[some] // 2, strict=True):
+        around = kept[max(row - REACH, 0) : row + REACH + 1, max(column - REACH, 0) : column + REACH + 1]
+        assert np.isclose(point[2], around.mean(), rtol=1e-5)
 
 
 def test_points_of_which_a_lens_leaves_two_at_one_pixel_stay_points() -> None:
