@@ -12,6 +12,7 @@ from omad.data.clutter.correlated_noise import add_correlated_noise
 from omad.data.clutter.outline import ACROSS, REACH, Grid, Outline, plain_outline
 from omad.data.clutter.regions import Boxes, smooth_field
 from omad.data.clutter.settings import Clutter
+from omad.data.clutter.spoil import SampledScene
 from omad.data.clutter.spoils import Places, in_front, mask_of, of_wrong_depth, out_of_sight
 from omad.data.clutter.surroundings import background_depth, plane_depth
 from omad.data.point_views import CELLS
@@ -20,7 +21,7 @@ from omad.data.rendering.standard_views import standard_views
 from omad.data.surface_bank import SurfaceBank
 from omad.data.training_views import ViewSettings, draw_views
 from omad.geometry.kinematics import part_transforms
-from omad.geometry.transforms import invert_transform, transform_points
+from omad.geometry.transforms import invert_transform, make_transform, so3_exp, transform_points
 from omad.sensing.point_choice import choose_points
 
 SHARES = ["surrounded", "beside", "eroded", "flying", "patched", "occluded", "rim", "cut", "blobs", "correlated"]
@@ -276,3 +277,13 @@ def test_as_much_background_as_in_rendered_views(category):
     views = draw_views(bank, category, 128, ViewSettings(clutter=clutter), random())
     ours = (views.labels == len(category.parts)).float().mean()
     assert 0.8 < ours / np.mean(rendered) < 1.3
+
+
+def test_a_table_is_below_all_of_its_object():
+    T = make_transform(so3_exp(torch.tensor([[2.0, 0.5, 1.0]])), torch.tensor([[0.1, 0.2, 4.0]]))
+    points = torch.randn(1, 50, 3, generator=torch.Generator().manual_seed(0)) + T[:, None, :3, 3]
+    none = torch.zeros(1)
+    floor = SampledScene(points, none, none, none, none, T).floor()
+    above = (points - floor[:, None]) @ T[0, :3, 1]
+    assert above.min() == pytest.approx(0, abs=1e-5)
+    assert torch.allclose(torch.linalg.cross(floor - T[:, :3, 3], T[:, :3, 1]), torch.zeros(1, 3), atol=1e-5)

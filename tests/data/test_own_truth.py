@@ -13,7 +13,10 @@ from PIL import Image
 from omad.cli.main import run
 from omad.common.errors import InputError
 from omad.data.procedural import generate
+from omad.data.rendering.standard_views import ObjectTruth
 from omad.data.rendering.view_folder import open_views, render_to_folder
+from omad.data.rendering.view_records import ViewRecord, check_truth
+from omad.geometry.camera import Camera
 from omad.objects.category_file import get_category
 
 LAPTOP = get_category("laptop")
@@ -103,3 +106,11 @@ def test_views_and_views_in_shards_do_not_lie_in_one_folder(folder, capsys):
     (folder.parent / "shards" / "_run.json").write_text("{}")
     assert run(["render", "--category", "laptop", "--views", "1", "--output", str(folder.parent / "shards")]) == 2
     assert "is for views in shards" in capsys.readouterr().err
+
+
+def test_an_object_beside_the_middle_of_a_cut_image_is_where_its_pixels_are():
+    camera, depth, labels = Camera(400, 100, 100.0, 100.0, 350.0, 50.0), np.zeros((100, 400)), np.full((100, 400), 255)
+    depth[50, 350], labels[50, 350] = 1.0, 0
+    T = np.eye(4)
+    T[2, 3] = 1.0
+    check_truth(ViewRecord(np.array([0.5]), T), ObjectTruth.of(generate(LAPTOP, 0)), camera, depth, labels)

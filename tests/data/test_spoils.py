@@ -299,3 +299,18 @@ def test_some_points_are_left_of_a_cloud(count):
     assert counts.max() <= count
     if count > FEWEST:
         assert np.log(counts).mean() == pytest.approx(np.log(FEWEST * count) / 2, abs=0.2)
+
+
+def test_labels_go_with_the_outlines_that_wander():
+    for index in range(2):
+        view = spoilt(scene(index=index), Spoil(noise="active_stereo")).view
+        assert np.array_equal(view.labels != NOTHING, view.depth > 0)
+
+
+def test_waves_are_shares_of_the_object():
+    errors = []
+    for index in range(4):
+        staged = scene(name="eyeglasses", index=index)
+        plain, waved = (spoilt(staged, Spoil(waves=waves)).view for waves in (0.0, 0.02))
+        errors.append((waved.depth - plain.depth)[plain.mask].std() / staged.truth.diagonal)
+    assert np.mean(errors) == pytest.approx(0.02, rel=0.3)

@@ -23,9 +23,10 @@ from omad.data.rendering.rasteriser import NOTHING
 from omad.data.rendering.standard_views import MIN_PIXELS, standard_view, standard_views
 from omad.data.rendering.tabletop import draw_tabletop
 from omad.data.rendering.view_folder import open_views, render_to_folder
-from omad.data.rendering.viewpoints import keep_possible, sample_poses
+from omad.data.rendering.viewpoints import SPAN, keep_possible, sample_poses
 from omad.data.surface_bank import SurfaceBank
 from omad.data.training_views import ViewSettings, draw_views
+from omad.geometry.camera import STANDARD_CAMERA as CAMERA
 from omad.geometry.mesh import Mesh
 from omad.objects.category import ViewRange
 from omad.objects.category_file import get_category
@@ -230,3 +231,21 @@ def test_a_lid_of_a_jar_that_is_made_smaller_is_as_far_open():
     own, small = (draw_tabletop(["jar"], (0, 1), largest=largest) for largest in (np.inf, 0.05))
     for one, other in zip(own.objects, small.objects, strict=True):
         assert np.array_equal(one.states, other.states)
+
+
+def test_drawers_of_a_chest_that_is_made_smaller_are_open_by_less():
+    own, small = (draw_tabletop(["drawer"], (0, 1), largest=largest) for largest in (np.inf, 0.2))
+    for one, other in zip(own.objects, small.objects, strict=True):
+        if one.category:
+            factor = other.states / one.states
+            assert factor.max() < 0.9
+            np.testing.assert_allclose(factor, factor[0])
+
+
+def test_objects_fill_as_much_of_the_height_as_stated_and_cameras_roll():
+    balls = torch.zeros(2000, 3).double(), torch.ones(2000).double()
+    poses = sample_poses(ViewRange(1e-6, (0.0, 0.0), 0.3), *balls, torch.Generator().manual_seed(0))
+    share = 2 * CAMERA.fy / CAMERA.height / (poses[:, 2, 3] ** 2 - 1).sqrt()
+    np.testing.assert_allclose([share.min(), share.max()], SPAN, atol=0.01)
+    roll = torch.atan2(poses[:, 0, 1], -poses[:, 1, 1])
+    np.testing.assert_allclose([roll.min(), roll.max()], [-0.3, 0.3], atol=0.01)

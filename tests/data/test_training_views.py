@@ -10,8 +10,10 @@ from helpers.categories import CATEGORIES, DISHWASHER, LAPTOP
 from omad.data.clutter.settings import Clutter
 from omad.data.point_views import look, plain_look, plain_pose, plain_visible, pose, visible
 from omad.data.procedural import generate
+from omad.data.rendering.depth_noise import ON, add_noise
 from omad.data.surface_bank import PartSamples, SurfaceBank
-from omad.data.training_views import ViewSettings, draw_views
+from omad.data.training_views import ViewSettings, _add_noise, _at_limits, draw_views
+from omad.geometry.camera import STANDARD_CAMERA as CAMERA
 from omad.geometry.kinematics import part_transforms
 from omad.geometry.transforms import invert_transform, make_transform, transform_points
 from omad.objects.model import PointObject
@@ -154,3 +156,27 @@ def test_the_smallest_part_has_samples():
     clouds = [part.vertices for part in small.parts]
     known = PointObject.from_clouds("cloud", clouds, small.axes, small.pivots, small.limits)
     assert np.bincount(known.surface_samples(8192, np.random.default_rng(0)).labels).min() >= 31
+
+
+def test_noise_is_that_of_rendered_views():
+    wall, unit = np.ones((CAMERA.height, CAMERA.width), np.float32), 0.3
+    level, random = replace(ON, edge_drop=0, holes=0), np.random.default_rng(0)
+    rendered = add_noise(wall, level, CAMERA, random, wall)
+    points = torch.tensor([0.0, 0.0, 1 / unit]).expand(1, 20000, 3)
+    made = unit * _add_noise(points, torch.ones(1), unit, torch.Generator().manual_seed(0))
+    assert float(made[..., 2].std()) == pytest.approx(rendered.std(), rel=0.1)
+    assert float(made[..., 0].std()) == pytest.approx(ON.shift / CAMERA.fx, rel=0.1)
+
+
+def test_shut_objects_are_at_rest_twice_as_often_as_wide_open():
+    limits = torch.tensor([[[0.0, 2.0], [-2.0, 0.0]]]).expand(3000, 2, 2)
+    states = _at_limits(torch.ones(3000, 2), limits, 1.0, torch.Generator().manual_seed(0))
+    np.testing.assert_allclose((states == 0).float().mean(0), 2 / 3, atol=0.04)
+
+
+def test_points_are_within_the_image(bank):
+    points = draw(bank, batch=256).points
+    for axis, (focal, centre, size) in enumerate(((600, 319.5, 640), (600, 239.5, 480))):
+        place = focal * points[..., axis] / points[..., 2] + centre
+        assert (place >= -0.5).all()
+        assert (place <= size - 0.5).all()

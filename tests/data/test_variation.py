@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from helpers.categories import CATEGORIES, EYEGLASSES, LAPTOP
+from helpers.categories import CATEGORIES, DRAWER, EYEGLASSES, LAPTOP
 from helpers.own_models import JAR, jar, microwave
 from omad import get_category
 from omad.data.procedural import generate
@@ -127,3 +127,12 @@ def test_what_is_flat_stays_flat():
     for made in with_variants([sheet], LAPTOP, 3):
         assert np.isfinite(made.part_boxes()).all()
         assert np.ptp(made.part_boxes()[..., 2]) < 1e-9
+
+
+def test_drawers_slide_as_far_as_they_are_deep():
+    model = generate(DRAWER, 0)
+    deep = np.ptp(model.part_boxes(), axis=1)[1:, 2]
+    for made in with_variants([model], DRAWER, 6, how=Variation(shares=0, bends=0, exchanged=0))[1:]:
+        factor = np.ptp(made.part_boxes(), axis=1)[1:, 2] / deep
+        assert np.abs(factor - 1).max() > 1e-3
+        np.testing.assert_allclose(made.limits[:, 1] / model.limits[:, 1], factor, rtol=1e-6)

@@ -7,7 +7,7 @@ import pytest
 
 from helpers.categories import DRAWER, EYEGLASSES, LAPTOP, SCISSORS
 from omad.common.errors import InputError
-from omad.evaluation.evaluate import summary
+from omad.evaluation.evaluate import Measured, summary
 from omad.evaluation.metrics import bootstrap_interval, missing_errors, pose_errors, summarise
 from omad.objects.pose import ObjectPose
 
@@ -127,3 +127,34 @@ def test_glasses_seen_from_behind_are_flipped_and_their_temples_swapped():
 def test_no_results_make_no_summary():
     with pytest.raises(InputError, match="nowhere: none of its views"):
         summary([], LAPTOP, "nowhere")
+
+
+def test_within_asks_for_angle_and_length():
+    near, far = errors(pose(shift=(0, 0, 0.04))), errors(pose(shift=(0, 0, 0.06)))
+    assert [each.within(np.radians(5), 0.05) for each in (near, far)] == [True, False]
+    assert summarise([near, far], np.ones(2), HALF)["within_5deg_5percent"] == 0.5
+
+
+def test_p90_is_exceeded_by_a_tenth():
+    table = summarise([errors(pose(state=np.radians(state))) for state in range(11)], np.ones(11), HALF)
+    assert table["joint_state_error_deg"][0]["p90"] == pytest.approx(9)
+
+
+def test_objects_count_as_often_as_they_are_seen():
+    values, groups = np.array([0.0] * 90 + [1.0] * 9), np.array(["a"] * 90 + list("bcdefghij"))
+    low, high = bootstrap_interval(values, groups)
+    assert low < 0.1 < high  # a mean over objects would be 0.6 at least
+
+
+def test_a_summary_keeps_objects_and_stages_apart():
+    far, near = errors(pose(shift=(0, 0, 0.08))), errors(pose(state=np.radians(4)))
+    views = [Measured("a", 1.0, far, near, None), Measured("b", 2.0, near, far, None)]
+    found = summary(views, HALF, "here")
+    assert found["initial"]["joint_state_error_deg"][0]["mean"] == pytest.approx(2)
+    assert [each["refined"]["within_5deg_5percent"] for each in found["by_object"]] == [1.0, 1.0]  # 8 % of 1, 4 % of 2
+    assert found["interval"]["joint_state_error_deg"][0] == pytest.approx((0, 4))
+
+
+def test_stages_differ():
+    found = summary([Measured("a", 1.0, errors(pose(state=0.5)), errors(pose(state=0.1)), None)] * 2, HALF, "here")
+    assert found["initial"]["joint_state_error_deg"][0]["mean"] == pytest.approx(np.degrees(0.5))

@@ -10,6 +10,7 @@ from omad.applications.retrieval.signature import Signature, Space, prior_finger
 from omad.evaluation.paper.published import TABLE3
 from omad.evaluation.retrieval.distances import TOGETHER, Ranker, between, by_information, methods
 from omad.evaluation.retrieval.experiment import (
+    Draw,
     DrawSettings,
     draw_across_states,
     draw_galleries,
@@ -205,3 +206,10 @@ def test_the_table_ranks_as_the_index_does():
 
 def test_the_papers_column_is_complete():
     assert all(0 < row.siamese < 1 and 0 < row.omad < 1 and row.objects >= 3 for row in TABLE3.values())
+
+
+def test_who_says_nothing_has_found_nothing():
+    objects = np.array(["a", "a", "b", "b"])
+    nothing = Ranker(lambda queries, gallery: np.full((len(queries), len(gallery)), np.nan))
+    found = evaluate_draws([Draw(np.arange(4), np.arange(4)[:, None])], objects, nothing)
+    assert found["map_at_10"] == found["nearest_neighbour"] == 0

@@ -2,24 +2,30 @@
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import torch
 
-from helpers.categories import LAPTOP
+from helpers.categories import DRAWER, LAPTOP, SCISSORS
 from helpers.command_line import answer, refused
 from omad.cli.main import run
 from omad.common.errors import InputError
+from omad.data.procedural import generate
+from omad.data.rendering.standard_views import standard_view, true_pose
 from omad.data.source import ViewSource
 from omad.evaluation.baselines.ancsh.net import AncshNet
+from omad.evaluation.paper import table1
 from omad.evaluation.paper.box_iou import box_iou
-from omad.evaluation.paper.predictions import predict
+from omad.evaluation.paper.predictions import Predictions, Predictor, Truths, predict
 from omad.evaluation.paper.published import TABLE1
 from omad.model.backbones.pointnet2 import PointNet2Config
 from omad.model.checkpoint import WEIGHTS, save
 from omad.objects.category_file import get_category
+from omad.objects.pose import ObjectPose
 
 TABLE = ["eval", "table1", "--categories", "laptop", "--objects", "2", "--views", "4"]
 TINY = PointNet2Config(points=128, centres=(32, 16), neighbours=(8, 8), widths=(24, 32, 48), dense=32)
@@ -113,3 +119,41 @@ def test_without_weights_the_baseline_is_left_out(weights, capsys):
 def test_a_source_without_a_view_is_named():
     with pytest.raises(InputError, match="laptop: there is no view"):
         predict(ViewSource([], 0, noisy=False), get_category("laptop"), {})
+
+
+def only(category, found, true):
+    boxes = np.tile([[[0.0, 0, 0], [1, 2, 3]]], (len(category.parts), 1, 1))
+    truths = Truths(np.array(["a"]), boxes[None], ObjectPose.stack([true]))
+    stacked = ObjectPose.stack([found])
+    return table1.row("omad", truths, Predictions(stacked, stacked, np.ones((1, 3)), ""), category)
+
+
+@pytest.mark.parametrize("category", [LAPTOP, DRAWER], ids=lambda category: category.name)
+def test_lengths_are_in_category_units(category):
+    unit, joints, parts = category.metres_per_unit, len(category.joints), len(category.parts)
+    axes, T = np.tile([0.0, 0, 1], (joints, 1)), np.tile(np.eye(4), (parts, 1, 1))
+    true, there = ObjectPose(np.zeros(joints), axes, np.zeros((joints, 3)), T), T.copy()
+    there[:, 0, 3] = 0.2 * unit
+    moved = {"states": true.states + 0.1 * unit, "pivots": true.pivots + [0.3 * unit, 0, 0]}
+    off = replace(true, **moved, T_camera_part=there)
+    found = only(category, off, true)
+    assert found["translation_error"] == pytest.approx([0.2] * parts)
+    if category is LAPTOP:
+        assert found["pivot_distance"] == found["axis_distance"] == pytest.approx([0.3])
+    else:
+        assert found["joint_state"] == pytest.approx([0.1] * joints)
+
+
+def test_either_labelling_of_scissors_overlaps():
+    T = np.tile(np.eye(4), (2, 1, 1))
+    T[1, :2, :2] = [[0, -1], [1, 0]]
+    true = ObjectPose(np.array([np.pi / 2]), np.array([[0.0, 0, 1]]), np.zeros((1, 3)), T)
+    assert only(SCISSORS, true.swapped(), true)["iou"] == pytest.approx([1, 1], abs=1e-6)
+
+
+def test_times_are_of_the_steps_that_took_them():
+    view = standard_view(generate(LAPTOP, 0, "test"), LAPTOP, (0, 0, 0))
+    pose = true_pose(view, LAPTOP)
+    answer = SimpleNamespace(initial_pose=lambda: pose, pose=lambda: pose, seconds={"network": 1.0, "refinement": 2.0})
+    made = predict(ViewSource([view], 1, noisy=False), LAPTOP, {"it": Predictor(lambda seen: answer, {})})
+    assert made["it"]["seconds"][0, :2].tolist() == [1.0, 2.0]

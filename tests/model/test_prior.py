@@ -8,11 +8,13 @@ import torch
 
 from helpers.categories import CATEGORIES, LAPTOP
 from helpers.scenes import random_prior, scene
+from omad.data.surface_bank import Joints
 from omad.geometry.transforms import make_transform, so3_exp
 from omad.model.fitting.energy import RefinementConfig
 from omad.model.fitting.refinement import Refiner
 from omad.model.prior import OmadPrior, mirror_map
 from omad.objects.category import Category, JointSpec, PartSpec
+from omad.training.train_prior import loosen_pivots
 
 MIRROR = torch.tensor([-1.0, 1.0, 1.0])
 
@@ -32,6 +34,7 @@ PLAIN = Category(
     parts=(PartSpec("one", 3), PartSpec("two", 5)),
     joints=(JointSpec("pin", "revolute", 0, (0.0, 1.0, 0.0), (0.0, 1.0)),),
 )
+
 ALL = (*CATEGORIES.values(), SWAPPING, PLAIN)
 
 
@@ -167,3 +170,12 @@ def test_a_hinge_off_the_joint_function_leaves_states_alone_where_pivots_are_loo
         for prior, start in ((tight, shapes), (s.prior, s.start))
     ]
     assert errors[1] < 0.2 * errors[0]
+
+
+def test_where_along_its_axis_a_pivot_lies_is_no_number_of_beta():
+    prior, draw = OmadPrior(LAPTOP), torch.Generator().manual_seed(0)
+    beta, along = torch.randn(40, prior.shape_size, generator=draw), torch.randn(40, 1, 1, generator=draw)
+    found = prior.joints(beta)
+    loosen_pivots(prior, beta, Joints(found.axes, found.pivots + along * found.axes, torch.zeros(40, 1, 2)))
+    assert prior.pivot_basis.shape[-1] > 0
+    assert prior.pivot_basis.abs().max() < 1e-4

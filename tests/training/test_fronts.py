@@ -15,6 +15,7 @@ from omad.training.train_fronts import (
     STEPS,
     FrontTraining,
     HandTraining,
+    _misplaced,
     front_images,
     train_fronts,
     train_hands,
@@ -76,3 +77,10 @@ def test_it_learns_which_hand_a_door_is_of(tmp_path):
     with torch.no_grad():
         own = net(torch.from_numpy(seen["microwave"] / np.float32(STEPS)))[:, 0] > 0
     assert own.double().mean() > 0.9
+
+
+def test_places_are_off_along_the_sides_of_the_body():
+    T = np.eye(4)
+    T[:2, :2] = [[0, -1], [1, 0]]
+    place, _ = _misplaced(T, np.array([[0.0, 0, 0], [1, 0, 0]]), np.random.default_rng(0))
+    assert place[0, 3] == place[2, 3] == 0 != place[1, 3]

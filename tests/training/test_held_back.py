@@ -145,3 +145,15 @@ def test_a_prior_to_fine_tune_begins_with_betas_of_its_own_basis(tmp_path):
     settings = PriorTraining(Schedule(steps=1, batch=16, log_steps=1))
     train_prior([generate(LAPTOP, index) for index in range(8)], LAPTOP, tmp_path, settings, initial=initial)
     assert json.loads((tmp_path / "metrics.jsonl").read_text())["order"] < 0.15
+
+
+def test_a_gain_that_may_be_chance_is_none(held_back, net, monkeypatch):
+    truth = held_back.views.states
+    noise = torch.randn(truth.shape, generator=torch.Generator().manual_seed(0))
+    noise -= noise.mean()
+
+    def states(answers, net, share):
+        return truth + 1 + share * (0.5 * noise - 0.02)  # better in the mean, by a third of a standard error
+
+    monkeypatch.setattr("omad.training.held_back._states", states)
+    assert held_back.best_share(net) == 0.0

@@ -180,3 +180,8 @@ def test_fine_tuning_starts_from_given_weights_and_refuses_another_prior(models,
     other = PriorNet(LAPTOP)
     with pytest.raises(InputError):
         train_net(models, LAPTOP, other, tmp_path / "c", settings, initial=first)
+
+
+def test_the_largest_direction_of_a_basis_has_unit_spread(priornet):
+    prior = priornet.prior
+    assert float(prior.beta_covariance[0, 0] + prior.beta_mean[0] ** 2) == pytest.approx(1, rel=0.05)
