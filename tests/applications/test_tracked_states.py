@@ -108,3 +108,34 @@ def test_a_slide_by_a_unit_shows_as_much_of_the_shape_as_a_turn_by_a_radian(says
     by = (second.joint_states - first.joint_states) / DRAWER.metres_per_unit
     assert moved == [pytest.approx(np.linalg.norm(by), rel=0.05)]
     assert abs(by[0]) > 0.005
+
+
+def test_a_new_track_is_challenged_soon_and_then_less_and_less_often(says, cabinet, monkeypatch):
+    cold = list[int]()
+    monkeypatch.setattr(Says, "__call__", lambda self, *_: cold.append(frame) or self.answer)
+    tracker = omad.Tracker(says)
+    for frame in range(50):
+        tracker(cabinet[0], frame / 15)
+    assert cold == [0, 1, 3, 7, 15, 30, 45]
+
+
+def test_what_spoke_against_a_track_in_a_frame_that_it_missed_is_remembered(says, cabinet, monkeypatch):
+    observation, right = cabinet
+    aside = np.eye(4)
+    aside[0, 3] = 1.0
+    placed = replace(right.placed, T_camera_part=aside @ right.placed.T_camera_part)
+    poor = right.observed_keypoints + 0.05 * right.category.metres_per_unit  # two nats worse and more
+    wrong = replace(right, observed_keypoints=poor)
+    elsewhere = replace(
+        right, placed=placed, keypoints=right.keypoints + aside[:3, 3],
+        observed_keypoints=right.observed_keypoints + aside[:3, 3],
+    )  # fmt: skip
+    assert evidence(elsewhere) > evidence(wrong) + 1
+    says.answer, near = wrong, [replace(wrong, residual=np.inf), wrong]
+    tracker = omad.Tracker(says)
+    assert tracker(observation, 0.0).restarted
+    monkeypatch.setattr(Says, "near", lambda self, *_: near.pop(0))
+    says.answer = elsewhere
+    found = [tracker(observation, time) for time in (0.1, 0.2)]
+    assert [(one.status, one.restarted) for one in found] == [("coasting", False), ("tracking", True)]
+    np.testing.assert_allclose(found[1].estimate.T_camera_base, elsewhere.T_camera_base, atol=1e-6)

@@ -56,7 +56,8 @@ class TrackerConfig:
     lost_after: float = 0.6
     """Seconds without a believed frame until the object counts as lost."""
     challenge_every: int = 15
-    """Frames between cold starts while all is well; 0: never."""
+    """Frames between cold starts while all is well; 0: never. Those of a new track come sooner: each waits for twice
+    as many frames as the one before."""
     switch: float = 1.5
     """Nats per keypoint by which the cold starts' evidence must be better, summed over frames, to replace the track."""
     worst_std: float = 0.12
@@ -156,6 +157,8 @@ class _Track:
     doubt: float = 0.0
     """Evidence for the cold starts and against this track, nats per keypoint."""
     since_challenge: int = 0
+    patience: int = 1
+    """Frames from the last challenge to the next."""
 
 
 class Tracker:
@@ -201,8 +204,9 @@ class Tracker:
         surprise = self._surprise(track, single)
         believed = surprise < self._limit and self._plausible(single)
         track.since_challenge += 1
-        if not believed or track.doubt > 0 or track.since_challenge == self.config.challenge_every:
-            track.since_challenge = 0
+        due = min(track.patience, self.config.challenge_every)
+        if not believed or track.doubt > 0 or track.since_challenge == due:
+            track.since_challenge, track.patience = 0, 2 * due
             cold = cold or self._cold(observation, known)
             single, believed = self._challenge(track, single, cold, believed)
             surprise = self._surprise(track, single)
@@ -280,7 +284,9 @@ class Tracker:
         better = float(np.clip(evidence(cold) - evidence(warm), -1.0, 1.0))
         if not believed:
             use = cold if better > 0 or not worth else warm
-            return use, self._plausible(use) and self._surprise(track, use) < self._limit
+            believed = self._plausible(use) and self._surprise(track, use) < self._limit
+            track.doubt = 0.0 if believed else max(track.doubt + better, 0.0)
+            return use, believed
         track.doubt = max(track.doubt + better, 0.0)
         if track.doubt < self.config.switch:
             return warm, True
