@@ -1,6 +1,7 @@
 """What a track tells of its frames: tables and errors of several joints; what it believes of covariance and shape."""
 
 import csv
+import json
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -10,8 +11,10 @@ import numpy as np
 import pytest
 
 import omad
+from helpers.command_line import save_png
 from omad.applications.tracking.sequence import TrackedSequence, summarise
 from omad.applications.tracking.tracker import TrackedStates, TrackerConfig, evidence
+from omad.cli.main import run
 from omad.data.procedural import generate
 from omad.data.rendering.standard_views import standard_view
 from omad.objects.category_file import get_category
@@ -139,3 +142,22 @@ def test_what_spoke_against_a_track_in_a_frame_that_it_missed_is_remembered(says
     found = [tracker(observation, time) for time in (0.1, 0.2)]
     assert [(one.status, one.restarted) for one in found] == [("coasting", False), ("tracking", True)]
     np.testing.assert_allclose(found[1].estimate.T_camera_base, elsewhere.T_camera_base, atol=1e-6)
+
+
+GIVEN = ["--category", "laptop", "--intrinsics", "600,600,319.5,239.5", "--json"]  # already in test_tracking.py
+
+
+def test_rate_and_a_static_base_are_taken_from_the_command_line(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    for index in range(6):
+        save_png(f"still/{index:04d}.png")
+
+    def lines(*options: str) -> list[dict]:
+        assert run(["track", "still", *options, *GIVEN]) == 0
+        return [json.loads(line) for line in Path("omad-track/frames.jsonl").read_text().splitlines()]
+
+    moving, static = lines("--fps", "10"), lines("--fps", "10", "--static-base")
+    assert np.diff([line["time"] for line in moving]) == pytest.approx([0.1] * 5)
+    assert np.diff([line["time"] for line in lines()]) == pytest.approx([1 / 30] * 5)
+    assert (np.array(static[-1]["base_std"]) < 0.9 * np.array(moving[-1]["base_std"])).all()
+    assert moving[-1]["base_std"] != moving[0]["base_std"]

@@ -77,6 +77,15 @@ def test_a_thing_may_be_of_none_of_the_categories(capsys):
     assert answer(capsys, "estimate", save_png("b.png"), *command[2:])["category"] == "laptop"
 
 
+def test_an_answer_to_what_is_like_none_of_the_categories_is_doubtful(capsys):
+    for seed in range(3):
+        image = save_png(f"{seed}.png", chair_view(seed).depth)
+        found = answer(capsys, "estimate", image, *LAPTOP, *K, "--compare", "--strict", code=1)
+        assert found["none"] > 0.8
+        assert found["probability"] < 0.1
+        assert "category" in {check["name"] for check in found["checks"]}
+
+
 def test_none_of_the_categories_has_every_key_and_leaves_no_earlier_answer(capsys):
     first = answer(capsys, "estimate", save_png("a.png"), "--category", "auto", *K, "--formats", "ros", "glb", "ply")
     assert first["category"] == "laptop"
@@ -212,3 +221,11 @@ def test_confidence_is_trained_into_the_checkpoint(capsys, monkeypatch):
 def test_a_wrong_depth_scale_is_doubted(capsys):
     found = answer(capsys, "estimate", save_png("d.png"), *LAPTOP, *K, "--depth-scale", "1e-4")
     assert "depth scale" in found["warnings"][0]
+
+
+def test_one_doubtful_answer_of_many_is_enough_for_strict(capsys):
+    save_png("many/laptop.png")
+    assert answer(capsys, "estimate", "many", *LAPTOP, *K, "--strict")["results"][0]["doubtful"] is False
+    save_png("many/vast.png", 6 * laptop_view().depth)
+    found = answer(capsys, "estimate", "many", *LAPTOP, *K, "--strict", code=1)
+    assert sorted(one["doubtful"] for one in found["results"]) == [False, True]

@@ -10,7 +10,9 @@ from scipy.spatial.transform import Rotation
 from helpers.command_line import LAPTOP, K, answer, laptop_view, refused, save_png
 from omad.cli.main import run
 from omad.data.procedural import generate
+from omad.data.rendering.depth_noise import ON
 from omad.data.rendering.standard_views import standard_view
+from omad.data.rendering.tabletop import draw_tabletop
 from omad.objects.category_file import get_category
 
 
@@ -73,3 +75,19 @@ def test_what_does_not_go_together_is_refused(images, capsys):
     assert "leave out --world" in both
     auto = ["--category", "auto", *K, "--together", "a.txt", "b.txt"]
     assert "name a category" in refused(capsys, "estimate", "a.png", "b.png", *auto)
+
+
+def test_detect_takes_gravity_for_a_camera_on_its_head(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    drawn = draw_tabletop(("laptop",), (3, 5), "test", ON)
+    camera = drawn.camera
+    np.save("level.npy", drawn.depth)
+    np.save("turned.npy", drawn.depth[::-1, ::-1])
+    command = ["--categories", "laptop", "--intrinsics"]
+    level_k = f"{camera.fx},{camera.fy},{camera.cx},{camera.cy}"
+    turned_k = f"{camera.fx},{camera.fy},{camera.width - 1 - camera.cx},{camera.height - 1 - camera.cy}"
+    level = np.array(answer(capsys, "detect", "level.npy", *command, level_k)["support_plane"])
+    down = level[:3] * (1, 1, -1)  # minus its normal, turned by half a turn about z
+    found = answer(capsys, "detect", "turned.npy", *command, turned_k, "--gravity=" + ",".join(map(str, down)))
+    assert not any("turned" in warning for warning in found["warnings"])
+    assert np.allclose(found["support_plane"], level * (-1, -1, 1, 1), atol=0.01)

@@ -29,6 +29,7 @@ from omad.geometry.mesh import Mesh
 from omad.objects.category import Category
 from omad.objects.model import ObjectModel
 from omad.objects.urdf import write_urdf
+from omad.output.contact_sheet import contact_sheet, picture
 
 MICROWAVE, STAPLER = (omad.get_category(SPECS / f"{name}.toml") for name in ("microwave", "stapler"))
 DRAWER = CATEGORIES["drawer"]
@@ -379,3 +380,14 @@ def test_a_folder_of_another_import_is_left_alone(capsys):
     assert "scale" in refused(capsys, "import", "models", *WITH, "--output", "ours", "--scale", "2")
     Path("ours/import.json").write_text("{")
     assert "import.json: " in refused(capsys, "import", "models", *WITH, "--output", "ours")
+
+
+def test_below_each_model_on_a_sheet_it_is_open_as_far_as_it_goes():
+    models = [generate(CATEGORIES["drawer"], index, "test") for index in range(2)]
+    panels = contact_sheet(models).axes
+    assert [panel.get_title() for panel in panels[:2]] == [model.name for model in models]
+    for column, model in enumerate(models):
+        rest, moved = (panels[row * 2 + column].images[0].get_array() for row in (0, 1))
+        assert np.array_equal(rest, picture(model, np.zeros(3)))
+        assert np.array_equal(moved, picture(model, model.limits[:, 1]))
+        assert not np.array_equal(rest, moved)

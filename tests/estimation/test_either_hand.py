@@ -17,10 +17,12 @@ from omad.data.rendering.standard_views import standard_view, true_pose
 from omad.data.source import load_models
 from omad.data.urdf_import.folder import import_with_notes
 from omad.estimation.estimator import Estimator
+from omad.estimation.joint_estimate import JointEstimate
 from omad.estimation.known import Known, Near
 from omad.estimation.looks.beginning import ANYWHERE, Beginning
 from omad.estimation.looks.either_hand import surer_hands, told
 from omad.evaluation.metrics import pose_errors
+from omad.geometry.joint_kinds import PRISMATIC, REVOLUTE
 from omad.geometry.rigid import mirrored, turned_about
 from omad.geometry.transforms import MIRROR_X
 from omad.objects.category import Category
@@ -232,3 +234,15 @@ def test_where_the_hand_is_hardly_seen_it_is_told():
         assert sum(answer.of_other_hand for answer in surely) <= 1
     assert doubted[0.0] >= 4
     assert doubted[70.0] <= 2
+
+
+@pytest.mark.parametrize("motion", [REVOLUTE, PRISMATIC])
+def test_the_image_of_a_joint_moves_points_as_its_image(motion):
+    axis, pivot = np.array([0.48, 0.6, 0.64]), np.array([0.1, 0.2, 0.9])
+    joint = JointEstimate(
+        "joint", "revolute" if motion.turns else "prismatic", 0.3, 0.01, (0.0, 1.0), axis, pivot, motion
+    )
+    joint = joint if motion.turns else replace(joint, pivot=None)
+    flip = np.diag([-1.0, 1.0, 1.0, 1.0])
+    assert np.allclose(joint.mirrored().motion(0.4), flip @ joint.motion(0.4) @ flip)
+    assert joint.mirrored().state == joint.state

@@ -18,9 +18,10 @@ from helpers.golden import golden
 from omad.data.procedural import generate
 from omad.data.rendering.standard_views import View, standard_view, true_pose
 from omad.estimation.estimator import Estimator, EstimatorConfig
+from omad.estimation.joint_estimate import JointEstimate
 from omad.estimation.known import Near
 from omad.evaluation.baselines.adam import adam_refinement
-from omad.geometry.joint_kinds import REVOLUTE
+from omad.geometry.joint_kinds import REVOLUTE, motion_of
 
 NAMES = list(CATEGORIES)
 
@@ -320,3 +321,13 @@ def test_each_way_of_answering_is_compiled_ahead(monkeypatch):
     first, other, again = found
     assert first == again != other
     assert len({*found}) == 2
+
+
+@pytest.mark.parametrize("pitch", [0.03, -0.03])
+def test_the_pitch_of_a_screw_is_what_a_whole_turn_advances(pitch):
+    axis, pivot = np.array([0.6, 0.0, 0.8]), np.array([0.1, 0.2, 0.9])
+    lid = JointEstimate("lid", "screw", 1.0, 0.01, (0.0, 9.0), axis, pivot, motion_of("screw", pitch))
+    turned = lid.motion(2 * np.pi)
+    assert np.allclose(turned[:3, :3], np.eye(3))
+    assert turned[:3, 3] == pytest.approx(pitch * axis)
+    assert lid.to_dict()["pitch"] == pytest.approx(pitch)

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import omad
-from helpers.categories import DISHWASHER
+from helpers.categories import DISHWASHER, EYEGLASSES
 from omad.common.errors import InputError
 from omad.data.procedural import generate
 from omad.data.rendering.standard_views import standard_view
@@ -103,3 +103,17 @@ def test_without_points_of_the_object_nothing_changes(estimate):
     bare = sharing(estimate, 0.5, 0.5).without_labels()
     assert bare.to_surface() is bare
     assert "surface" not in bare.to_surface().seconds
+
+
+def test_where_a_surface_is_placed_its_hinges_are_where_its_parts_turn():
+    view = standard_view(generate(EYEGLASSES, 2, "test"), EYEGLASSES, (5, 2))
+    estimate = omad.Estimator.from_pretrained("eyeglasses", "cpu")(view.observation())
+    placed = estimate.surface.placed
+    base_camera = np.linalg.inv(placed.T_camera_part[0])
+    for joint, (parent, axis, pivot) in enumerate(
+        zip(EYEGLASSES.tree.parents, placed.axes, placed.pivots, strict=True)
+    ):
+        assert parent == 0
+        # a point of the hinge is at one place, whichever of the two parts it is taken to be on
+        rest = carry(base_camera, np.stack([pivot, pivot + 0.1 * axis]))
+        assert carry(placed.T_camera_part[joint + 1], rest) == pytest.approx(np.stack([pivot, pivot + 0.1 * axis]))

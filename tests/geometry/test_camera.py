@@ -78,3 +78,9 @@ def test_box_is_smallest_and_largest_of_each_coordinate(count, width):
     points = np.random.default_rng(count).normal(size=(count, width)).astype(np.float32)
     for some in (points, points[::-1], np.asfortranarray(points)):
         assert np.array_equal(box(some), [points.min(0), points.max(0)])
+
+
+def test_a_zoomed_camera_keeps_its_lens():
+    camera = Camera(640, 480, 600, 610, 320, 238, Distortion("plumb_bob", (-0.3, 0.1, 0.001, 0.002)))
+    points = np.random.default_rng(0).uniform((-0.4, -0.3, 0.9), (0.4, 0.3, 1.1), (50, 3))
+    assert np.allclose(camera.zoomed(0.25, 20, 10).project(points), 0.25 * (camera.project(points) - (20, 10)))

@@ -10,8 +10,11 @@ from helpers.categories import CATEGORIES, LAPTOP
 from helpers.scenes import random_prior, scene
 from omad.data.surface_bank import Joints
 from omad.geometry.transforms import make_transform, so3_exp
+from omad.model.checkpoint import find_weights, load
 from omad.model.fitting.energy import RefinementConfig
-from omad.model.fitting.refinement import Refiner
+from omad.model.fitting.refinement import DEFAULT_CONFIG, Refiner
+from omad.model.fitting.state import State, Targets
+from omad.model.omadnet import OmadNet
 from omad.model.prior import OmadPrior, mirror_map
 from omad.objects.category import Category, JointSpec, PartSpec
 from omad.training.train_prior import loosen_pivots
@@ -179,3 +182,17 @@ def test_where_along_its_axis_a_pivot_lies_is_no_number_of_beta():
     loosen_pivots(prior, beta, Joints(found.axes, found.pivots + along * found.axes, torch.zeros(40, 1, 2)))
     assert prior.pivot_basis.shape[-1] > 0
     assert prior.pivot_basis.abs().max() < 1e-4
+
+
+@pytest.mark.parametrize("backend", ["torch", "kernel"])
+def test_another_shape_prior_counts_as_much_as_the_categorys(backend):
+    prior = load(OmadNet, find_weights("laptop")).prior.double()
+    config = replace(DEFAULT_CONFIG, prior_weight=30.0, backend=backend)
+    limits = torch.tensor([[-1.4, 1.4]], dtype=torch.float64)
+    refiner = Refiner(prior, limits, config)
+    beta = prior.beta_mean[None].double() + 0.5
+    pose, theta = torch.eye(4, dtype=torch.float64)[None], torch.full((1, 1), 0.3, dtype=torch.float64)
+    points = prior.deform(beta, theta, pose)
+    targets, start = Targets(points, torch.full(points.shape[:2], 100.0, dtype=torch.float64)), State(beta, theta, pose)
+    same = refiner.with_shape_prior(prior.beta_mean, prior.beta_covariance)
+    assert torch.allclose(same(targets, start).state.beta, refiner(targets, start).state.beta)

@@ -242,3 +242,26 @@ def test_without_points_the_surface_is_that_of_the_keypoints(laptop):
     assert fitted.step.tolist() == [0.0] * 17
     for mesh, expected in zip(fitted.parts, surfaces.of_keypoints(mean), strict=True):
         assert np.array_equal(mesh.vertices, expected.vertices)
+
+
+def test_a_fit_keeps_joints_within_their_limits(laptop):
+    _, surfaces = laptop
+    prior, template = surfaces._doubles, surfaces.bank.template(3)
+    beta = prior.encode(torch.as_tensor(surfaces.bank.keypoints[3:4], dtype=torch.float64))
+    pose = torch.eye(4, dtype=torch.float64)
+    pose[:3, :3] = torch.as_tensor(Rotation.from_euler("xy", [205.0, 20.0], degrees=True).as_matrix())
+    pose[2, 3] = 4.0
+    start = State(beta, torch.full((1, 1), 0.2, dtype=torch.float64), pose[None])
+    there = Placed.at(prior, start, np.zeros(7 + prior.basis_size), np.zeros((prior.num_keypoints, 3)))
+    seen = VisibleSurface.of(there, template, there.keypoints + [0, 0, 4.0], 96, 0.01)
+    covariance = np.diag([0.03**2] * 6 + [0.06**2] + [0.05**2] * prior.basis_size)
+
+    def found(low: float, high: float) -> float:
+        limits, cloud = np.array([[low, high]]), Cloud.of(seen.points, seen.parts, 300)
+        fit = SurfaceFit.of(prior, limits, start, covariance, cloud, FitConfig())
+        return float(fit(fit.begin(), template).state.joint_states[0, 0])
+
+    free = found(-1.0, 1.0)
+    assert free == pytest.approx(0.2, abs=0.02)
+    assert found(-1.0, 0.1) < free - 0.01
+    assert found(0.3, 1.0) > free + 0.01

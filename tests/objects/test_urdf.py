@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from helpers.categories import CATEGORIES
 from helpers.kinematics_by_yourdfpy import largest_gap, vertices_of
+from helpers.own_models import JAR_PITCH, jar
 from omad.common.errors import InputError
 from omad.data.procedural import generate
 from omad.data.urdf_import.articulation import RawArticulation, read_articulation, read_urdf
@@ -326,3 +327,15 @@ def test_real_files_move_as_another_reader_moves_them(name):
         robot.update_cfg(dict(zip(model.joint_names, states, strict=True)))
         for part, ours in zip(model.part_names, model.posed_vertices(states), strict=True):
             assert largest_gap(vertices_of(robot, part), ours) < 1e-6 * model.diagonal
+
+
+@pytest.mark.parametrize("pitch", [JAR_PITCH, -JAR_PITCH])
+def test_a_screw_of_either_hand_has_limits_in_order_and_goes_its_way(pitch, tmp_path):
+    model = replace(jar(), tree=KinematicTree((0,), (motion_of("screw", pitch),)))
+    robot = yourdfpy.URDF.load(str(write_urdf(model, tmp_path / "jar.urdf")))
+    for joint in robot.robot.joints:
+        assert joint.limit.lower < joint.limit.upper
+    robot.update_cfg({"lid_joint": 2 * np.pi})
+    assert robot.get_transform("lid", "jar")[1, 3] == pytest.approx(pitch + model.pivots[0, 1])
+    [slide] = [joint.limit for joint in robot.robot.joints if joint.type == "prismatic"]
+    assert (slide.lower, slide.upper) == pytest.approx(tuple(sorted((0.0, 1.5 * pitch))))

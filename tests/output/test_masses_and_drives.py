@@ -8,9 +8,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import omad
+from helpers.own_models import JAR_PITCH, jar
 from omad.data.procedural import generate
 from omad.data.rendering.standard_views import standard_view
+from omad.geometry.joint_kinds import motion_of
+from omad.geometry.kinematics import KinematicTree
 from omad.objects.category_file import get_category
+from omad.output.frame import CAMERA
 from omad.output.robots.mjcf import save_mjcf
 from omad.output.robots.robot import DAMPING, GRAVITY, Robot, Solid
 from omad.output.robots.usd import CREEP, save_usd
@@ -75,3 +79,20 @@ def test_usd_knows_inertia_limits_and_brakes(name, drive, unit, tmp_path):
         brake = UsdPhysics.DriveAPI(joint.GetPrim(), drive)
         assert brake.GetDampingAttr().Get() == pytest.approx(friction / CREEP / unit)
         assert brake.GetMaxForceAttr().Get() == pytest.approx(friction)
+
+
+@pytest.mark.parametrize("pitch", [JAR_PITCH, -JAR_PITCH])
+def test_mujoco_knows_a_screw_of_either_hand(pitch, tmp_path):
+    mujoco = pytest.importorskip("mujoco", reason="MuJoCo is an extra: pip install 'omad[mujoco]'")
+    model = replace(jar(), tree=KinematicTree((0,), (motion_of("screw", pitch),)))
+    frames = np.tile(np.eye(4), (2, 1, 1))
+    frames[1, :3, 3] = model.pivots[0]
+    save_mjcf(Robot(model, np.array([np.pi]), CAMERA, frames), tmp_path / "jar.xml")
+    read = mujoco.MjModel.from_xml_path(str(tmp_path / "jar.xml"))
+    assert (read.jnt_range[:, 0] < read.jnt_range[:, 1]).all()
+    data = mujoco.MjData(read)
+    mujoco.mj_resetDataKeyframe(read, data, 0)
+    mujoco.mj_forward(read, data)
+    lid = data.body("lid")
+    assert lid.xpos[1] - frames[1, 1, 3] == pytest.approx(pitch / 2)  # half a turn
+    assert lid.xmat.reshape(3, 3)[0, 0] == pytest.approx(-1)

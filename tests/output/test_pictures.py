@@ -10,6 +10,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from matplotlib.colors import to_rgb
 from PIL import Image
 
 from helpers.categories import EVERY
@@ -21,11 +22,11 @@ from omad.data.procedural import generate
 from omad.estimation.estimate import Estimate
 from omad.estimation.estimator import Estimator
 from omad.geometry.camera import Camera
-from omad.geometry.rigid import carry
+from omad.geometry.rigid import box, carry
 from omad.objects.model import ObjectModel
 from omad.output.frame_image import frame_image
 from omad.output.page import page_text
-from omad.output.picture import MAX_SIDE, PART_COLOURS, axis_segments, figure, part_colours, save, show
+from omad.output.picture import DIFFERENCES, MAX_SIDE, PART_COLOURS, axis_segments, figure, part_colours, save, show
 from omad.sensing.camera_files import CameraFile
 from omad.sensing.colour_mask import ColourCamera
 from omad.sensing.observation import Observation
@@ -182,3 +183,71 @@ def test_the_demo_names_its_pages(tmp_path, capsys):
     out = capsys.readouterr().out
     for name in ("estimate.png", "estimate.html"):
         assert str(next(tmp_path.rglob(name))) in out
+
+
+def places(image, shown: np.ndarray) -> np.ndarray:
+    """(N, 2) where in its panel a picture's pixels ``shown`` (H, W) are; its first row is at the end of its extent."""
+    left, right, last, first = image.get_extent()
+    rows, columns = np.nonzero(shown)
+    height, width = shown.shape
+    return np.stack(
+        [left + (columns + 0.5) / width * (right - left), first + (rows + 0.5) / height * (last - first)], 1
+    )
+
+
+def test_panels_of_the_limits_show_the_object_there():
+    observation, estimate = seen()
+    panels, model = figure(observation, estimate).axes, estimate.object_model()
+    for panel, name, end in ((panels[4], "lower", 0), (panels[5], "upper", 1)):
+        assert name in panel.get_title()
+        [image] = panel.images
+        states = np.array([joint.limits[end] for joint in estimate.joints])
+        there = carry(estimate.T_camera_base, np.concatenate(model.posed_vertices(states)))
+        drawn = places(image, (image.get_array() < 1).any(2))
+        assert box(drawn) == pytest.approx(box(observation.camera.project(there)), abs=2)
+
+
+def test_what_is_not_explained_is_tinted_where_it_was_seen():
+    observation, estimate = seen()
+    higher = estimate.placed.T_camera_part.copy()
+    higher[:, 1, 3] -= 0.05  # of y down
+    hulls = replace(estimate, surfaces=None, placed=replace(estimate.placed, T_camera_part=higher))
+    image = figure(observation, hulls).axes[3].images[1]
+    colour = np.abs(image.get_array()[..., :3] - to_rgb(DIFFERENCES["missing"][1])).max(2) < 1e-6
+    column, row = np.rint(places(image, colour & (image.get_array()[..., 3] > 0))).astype(int).T
+    assert len(row) > 100
+    assert (observation.depth[row, column] > 0).mean() > 0.9
+    assert row.mean() > observation.pixels[:, 1].mean() + 10  # the surface is too high
+
+
+def test_from_the_side_the_cloud_lies_on_the_object():
+    observation, estimate = seen()
+    panel = figure(observation, estimate).axes[2]
+    offsets = [np.asarray(each.get_offsets()) for each in panel.collections]
+    drawn = np.concatenate([each for each in offsets if len(each) > 1])
+    there = carry(np.linalg.inv(laptop_view().T_camera_base), observation.points)[:, [2, 1]]  # the truth
+    assert box(drawn) == pytest.approx(box(there), abs=0.02)
+    outlines = np.concatenate([path.vertices for each in panel.collections for path in each.get_paths()][1:])
+    assert box(outlines) == pytest.approx(box(there), abs=0.05)
+
+
+def test_true_axes_are_dotted_where_they_are():
+    observation, estimate = seen()
+    there = np.array([[0.05, 0.02, estimate.placed.pivots[0, 2]]])
+    truth = replace(estimate.placed, axes=np.array([[0.6, 0.8, 0.0]]), pivots=there)
+    [dotted] = [line for line in figure(observation, estimate, truth).axes[1].lines if line.get_linestyle() == ":"]
+    (start, end), [middle] = np.transpose(dotted.get_data()), observation.camera.project(there)
+    along = (end - start) / np.linalg.norm(end - start)
+    assert np.abs(along) == pytest.approx([0.6, 0.8], abs=1e-6)
+    assert abs(np.cross(along, middle - start)) < 0.1
+
+
+def test_points_that_are_thinned_out_keep_their_colours(monkeypatch):
+    monkeypatch.setattr("omad.output.picture.MAX_DRAWN", 500)
+    observation, estimate = seen()
+    cloud = figure(observation, estimate).axes[1].collections[0]
+    pixels, colours = np.asarray(cloud.get_offsets()), cloud.get_facecolors()[:, :3]
+    assert 100 < len(pixels) <= 500
+    label = {tuple(pixel): of for pixel, of in zip(observation.pixels.tolist(), estimate.part_labels, strict=True)}
+    own = part_colours(np.array([label[tuple(pixel)] for pixel in np.rint(pixels).astype(int).tolist()]))
+    assert np.allclose(colours, own)

@@ -37,7 +37,7 @@ PROPOSED = 0.79
 OFFSET = 1.1
 """Log-odds of a category over none where no more than usual speaks against it, and the look takes it for as likely."""
 SURE = 0.8
-"""Probability from which on another category is suspected."""
+"""Probability from which on another category is suspected, or none."""
 
 
 def against(observation: Observation, estimate: Estimate, evidence: Evidence) -> np.ndarray:
@@ -126,10 +126,14 @@ def rank(
 
 
 def suspected(estimate: Estimate, ranking: Ranking) -> list[Check]:
-    """The category that explains the observation much better than the estimate's own."""
-    if not ranking.candidates:
-        return []
-    best, name = ranking.candidates[0], estimate.category.name
+    """What speaks against the estimate's own category: what was seen is surely of none, or another explains it much
+    better."""
+    name = estimate.category.name
+    if ranking.none >= SURE:
+        what = f"what was seen is like none of the categories (probability {ranking.none:.2f})"
+        why, cure = f"the object may be no {name}", "look at estimate.png; tighten the mask, or train on such objects"
+        return [Check("category", what, why, cure, grave=True)]
+    best = ranking.candidates[0]
     other = best.estimate.category.name
     if other == name or best.probability < SURE:
         return []

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 from ..estimate import Estimate
 
 RARELY = 0.06
-"""Share of answers that are right where the surface that was fitted to the image stays below it, too: two of 33 to
-spoilt views of unseen objects and of other things."""
+"""Share of answers to spoilt views of unseen objects and of other things that are right where the surface that was
+fitted to the image stays below it, too (two of 33), or where what was seen is surely of no category (13 of 195)."""
 
 
 @dataclass(frozen=True)
