@@ -147,3 +147,24 @@ def test_an_answer_waits_for_no_other_of_its_batch_and_who_is_late_is_passed_ove
 
     asyncio.run(drill())
     assert begun == ["first", "quick", "slow", "last"]
+
+
+def test_who_came_first_is_answered_first_though_not_all_fit_into_a_batch():
+    begun = []
+
+    def answer(batch):
+        for asked in batch:
+            begun.append(asked.name)
+            time.sleep(0.02)
+            yield Reply.of(200, {})
+
+    async def drill():
+        batcher = Batcher(answer, workers=1, batch=2)
+        names = ["a0", "b0", "a1", "a2", "a3", "b1", "a4"]
+        asked = [SimpleNamespace(category=name[0], name=name, size=1) for name in names]
+        await asyncio.gather(*map(batcher, asked))
+        batcher.close()
+
+    asyncio.run(drill())
+    # after the first, which goes alone, batches are of the category of the oldest that waits
+    assert begun == ["a0", "b0", "b1", "a1", "a2", "a3", "a4"]

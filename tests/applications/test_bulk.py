@@ -1,5 +1,6 @@
 """Many images: the answers of single calls, in order, in bounded memory, from every source, in spite of bad ones."""
 
+import io
 import json
 import os
 import shutil
@@ -12,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from PIL.PngImagePlugin import PngInfo
 
 import omad
 from helpers.command_line import laptop_view
@@ -286,6 +288,22 @@ def test_a_rows_own_scale_counts_more_than_the_one_for_all(stored):
     parquet.write_table(table({"depth": [png] * 2, "depth_scale": [2e-3, None]}), stored / "scales.parquet")
     own, usual = open_sources([stored / "scales.parquet"], replace(READING, depth_scale=1e-3)).after(0)
     np.testing.assert_allclose(own.load().points, 2 * usual.load().points, rtol=1e-6)
+
+
+def test_a_rows_image_and_camera_may_tell_its_scale(stored):
+    """As those of single images do."""
+    parquet, table = pytest.importorskip("pyarrow.parquet"), pytest.importorskip("pyarrow").table
+    told, plain, noted = PngInfo(), io.BytesIO(), io.BytesIO()
+    told.add_text("depth_scale", "0.002")
+    Image.fromarray(depths()[0]).save(plain, "PNG")
+    Image.fromarray(depths()[0]).save(noted, "PNG", pnginfo=told)
+    camera = json.dumps({**dict(zip(("fx", "fy", "cx", "cy"), NUMBERS, strict=True)), "depth_scale": 0.003})
+    images = [plain.getvalue(), noted.getvalue(), noted.getvalue(), noted.getvalue()]
+    columns = {"depth": images, "intrinsics": [None, None, camera, camera], "depth_scale": [None, None, None, 0.004]}
+    parquet.write_table(table(columns), stored / "scales.parquet")
+    usual, *others = (frame.load().points for frame in open_sources([stored / "scales.parquet"], READING).after(0))
+    for times, points in zip((2, 3, 4), others, strict=True):
+        np.testing.assert_allclose(points, times * usual, rtol=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import omad
 from helpers.command_line import laptop_view
@@ -319,3 +320,56 @@ def test_where_nothing_of_the_extra_is_installed_the_cure_is_named(monkeypatch, 
         monkeypatch.delattr(deployment, name, raising=False)
     assert run(["deploy", "--category", "laptop", "--output", str(tmp_path)]) == 2
     assert "pip install 'omad[deploy]'" in capsys.readouterr().err
+
+
+@needs
+@pytest.mark.slow
+def test_slides_are_answered_in_metres_as_the_estimator_does(tmp_path):
+    """Of a category that takes a share of the network's own states, too."""
+    estimator = omad.Estimator.from_pretrained("drawer_1", "cpu")
+    program, category = program_file.Program(deployed_in(tmp_path, "drawer_1")), estimator.category
+    assert estimator.net.own_states > 0
+    assert category.metres_per_unit != 1
+    for index in range(3):
+        view = standard_view(generate(category, index, "test"), category, (index, 5))
+        seen = omad.Observation.from_depth(view.depth, view.camera)
+        truth, found = estimator(seen), program(seen.points)
+        np.testing.assert_allclose(found.joint_states, truth.joint_states, atol=2e-5)
+        np.testing.assert_allclose(found.state_std**2, truth.covariance.diagonal()[6:7], rtol=1e-3)
+        np.testing.assert_allclose(found.residual, truth.residual, rtol=1e-3)
+        np.testing.assert_allclose(found.keypoints, truth.keypoints, atol=1e-5)
+        apart = np.linalg.norm(found.keypoints - truth.observed_keypoints, axis=1)
+        assert found.residual == pytest.approx(np.sqrt(np.square(apart).mean()), rel=1e-3)  # metres
+
+
+@needs
+def test_in_a_mirror_hinges_and_slides_move_points_as_their_images_move():
+    """At the states that were found, which stay as they are."""
+    rng = np.random.default_rng(0)
+    axes = rng.standard_normal((2, 3))
+    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    pivots, state, image = rng.standard_normal((2, 3)), 0.7, np.array([-1.0, 1.0, 1.0])
+    none = dict.fromkeys(("beta", "joint_states", "state_std", "keypoint_std"), np.zeros(0))
+    plain = program_file.Answer(
+        **none, axes=axes, pivots=pivots, T_camera_part=np.tile(np.eye(4), (3, 1, 1)), keypoints=np.ones((1, 3)),
+        residual=0.0, converged=True, hand=0.0,
+    )  # fmt: skip
+    mirrored, point = plain.mirrored(np.array([True, False])), rng.standard_normal(3)
+
+    def turned(by, point):
+        return Rotation.from_rotvec(state * by.axes[0]).apply(point - by.pivots[0]) + by.pivots[0]
+
+    np.testing.assert_allclose(turned(mirrored, image * point), image * turned(plain, point), atol=1e-12)
+    np.testing.assert_allclose(image * point + state * mirrored.axes[1], image * (point + state * axes[1]), atol=1e-12)
+    assert mirrored.of_other_hand
+
+
+@needs
+def test_pixels_that_are_no_squares_are_back_projected_as_the_estimator_does():
+    depth = np.random.default_rng(0).uniform(0.5, 1.0, (40, 50)).astype(np.float32)
+    K = (60.0, 45.0, 26.0, 18.0)
+    found, expected = given.back_projected(depth, list(K), None), omad.Observation.from_depth(depth, K)
+    np.testing.assert_allclose(found, expected.points, atol=1e-6)
+    x, y, z = found.T
+    pixels = np.stack([K[0] * x / z + K[2], K[1] * y / z + K[3]], 1)
+    np.testing.assert_allclose(pixels, expected.pixels, atol=1e-3)

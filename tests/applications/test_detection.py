@@ -283,3 +283,42 @@ def test_of_an_object_that_was_cut_out_already_no_plane_is_taken_away(index: int
     assert found.estimate is not None
     assert found.estimate.joint_states == pytest.approx(view.states, abs=0.1)
     assert len(found.observation.points) > 0.95 * len(view.observation().points)
+
+
+def test_the_centre_is_the_middle_of_the_box_of_the_points_that_are_seen() -> None:
+    """Wherever most of them lie."""
+    rng = np.random.default_rng(0)
+    points = np.r_[rng.uniform((0.0, 0.0, 1.0), (0.1, 0.1, 1.1), (900, 3)), [[-0.2, 0.0, 1.0], [0.4, 0.1, 1.5]]]
+    told = Detection(omad.Observation.from_points(points), {None: 1.0}, None, {}).to_dict()
+    assert told["centre"] == pytest.approx([0.1, 0.05, 1.25], abs=2e-3)
+
+
+def test_only_categories_that_lie_flat_are_said_to_be_too_flat() -> None:
+    """Scissors are a centimetre high on a table that is known to a few millimetres; refrigerators are not."""
+    drawn = draw_tabletop(("laptop",), (3, 5), "test", ON)
+    frame = omad.Observation.from_depth(drawn.depth, drawn.camera)
+    look = Detector([LateEstimator.of(name) for name in ("refrigerator", "scissors", "oven")]).look(frame)
+    assert look.too_flat == ("scissors",)
+
+
+@pytest.mark.parametrize("quarter", [1, -1])
+def test_objects_before_a_camera_that_lies_on_its_side_are_found_with_gravity(quarter: int) -> None:
+    """A quarter turn is not its own inverse, as half a turn is."""
+    drawn = draw_tabletop(("laptop",), (3, 5), "test", ON)
+    depth, own = np.ascontiguousarray(np.rot90(drawn.depth, quarter)), drawn.camera
+    cx, cy = (own.cy, own.width - 1 - own.cx) if quarter == 1 else (own.height - 1 - own.cy, own.cx)
+    camera = replace(own, width=own.height, height=own.width, fx=own.fy, fy=own.fx, cx=cx, cy=cy)
+    R = np.array([[0, quarter, 0], [-quarter, 0, 0], [0, 0, 1]], float)  # of a point before it was turned
+    estimators = [LateEstimator.of("laptop")]
+    level = Detector(estimators).look(omad.Observation.from_depth(drawn.depth, own))
+    assert level.support_plane is not None
+    known = omad.Known(gravity=R @ -level.support_plane[:3])
+    turned = Detector(estimators, known=known).look(omad.Observation.from_depth(depth, camera))
+    assert turned.support_plane is not None
+    np.testing.assert_allclose(R.T @ turned.support_plane[:3], level.support_plane[:3], atol=0.01)
+    assert turned.support_plane[3] == pytest.approx(level.support_plane[3], abs=0.01)
+    one, other = (look.detections[0].estimate for look in (level, turned))  # of the likeliest
+    assert one is not None
+    assert other is not None
+    assert np.linalg.norm(R @ one.T_camera_base[:3, 3] - other.T_camera_base[:3, 3]) < 0.05
+    assert np.degrees(np.abs(one.joint_states - other.joint_states)).max() < 5

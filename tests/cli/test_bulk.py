@@ -196,3 +196,17 @@ def test_any_category_is_refused_where_one_has_to_be_named(capsys):
     for command in (["bulk", "views", "--output", "x.jsonl"], ["track", "views"]):
         line = refused(capsys, *command, *K, "--category", "auto")
         assert line.startswith("omad: auto: stands for any category, here one has to be named (cabinet_one_door, ")
+
+
+def test_a_run_does_not_go_on_with_answers_of_another_kind(capsys, monkeypatch, tmp_path):
+    """Nor are rows that were there counted among those that this run made in its time."""
+    monkeypatch.chdir(tmp_path)
+    for name in "ab":
+        save_png(f"views/{name}.png")
+    usual = ["bulk", "views", *LAPTOP, *K, "--batch", "1", "--output", "out.jsonl"]
+    with monkeypatch.context() as killed:
+        killed.setattr(Results, "finish", lambda _: None)
+        answer(capsys, *usual)
+    assert "other inputs or settings" in refused(capsys, *usual, "--fast")
+    found = answer(capsys, *usual)
+    assert (found["images"], found["done_before"], found["images_per_second"]) == (2, 2, 0)

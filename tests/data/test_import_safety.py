@@ -2,6 +2,7 @@
 left out."""
 
 import json
+import os
 import re
 import shutil
 from dataclasses import replace
@@ -279,3 +280,18 @@ def test_meshes_that_are_found_at_last_are_imported():
     assert "without" in " ".join(said(Path("elsewhere")))
     shutil.copy(next(Path("models").rglob("*door*.obj")), "elsewhere/more/handle.obj")
     assert "without" not in " ".join(said(Path("elsewhere")))
+
+
+def test_a_model_that_was_mended_without_a_byte_more_is_imported_anew(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    category = get_category(SPECS / "microwave.toml")
+    write_urdf(microwave("one"), "models/one/one.urdf")
+    file, made = Path("models/one/one.urdf"), Path("ours/one/one.urdf")
+    text = file.read_text()
+    upper = text.split('upper="')[1].split('"')[0]
+    for said in ("1." + "0" * (len(upper) - 2), "0." + "5" * (len(upper) - 2)):
+        file.write_text(text.replace(f'upper="{upper}"', f'upper="{said}"'))
+        assert len(file.read_text()) == len(text)
+        os.utime(file, ns=(1, 10**18 + int(10**6 * float(said))))  # some disks keep times to the second alone
+        assert import_folder(Path("models"), category, Path("ours")).used == ["one"]
+        assert abs(read_urdf(made, category).limits[0, 1] - float(said)) < 1e-6

@@ -1,8 +1,6 @@
 """Foreign models: whatever their frame, zero state, names and extra links, the same canonical object comes out."""
 
-import xml.etree.ElementTree as ElementTree
 from dataclasses import replace
-from pathlib import Path
 from typing import get_args
 
 import numpy as np
@@ -11,43 +9,20 @@ from scipy.spatial.transform import Rotation
 
 from helpers.categories import CATEGORIES, CHEST, DISHWASHER, EVERY, LAPTOP
 from helpers.kinematics_by_yourdfpy import largest_gap
+from helpers.one_joint import box_link, edited, extra_joint, plain_dishwasher, plain_laptop
 from helpers.own_models import box
 from helpers.same_models import assert_same
 from omad.common.errors import InputError
 from omad.data.procedural import generate
 from omad.data.urdf_import.articulation import read_articulation, read_urdf
 from omad.data.urdf_import.folder import import_model, load_folder, object_paths
+from omad.data.urdf_import.links import label_parts
 from omad.data.urdf_import.rest_states import RULES, rest_state
 from omad.geometry.joint_kinds import Motion
 from omad.geometry.mesh import Mesh
-from omad.objects.category import Category, RestRule
+from omad.objects.category import RestRule
 from omad.objects.model import ObjectModel
 from omad.objects.urdf import write_urdf
-
-
-def as_object(category: Category, parts: list[Mesh], pivot, limits=None) -> ObjectModel:
-    spec = category.joints[0]
-    return ObjectModel(
-        name="made",
-        category=category.name,
-        part_names=tuple(part.name for part in category.parts),
-        parts=tuple(parts),
-        joint_names=(spec.name,),
-        tree=category.tree,
-        axes=np.array([spec.axis]),
-        pivots=np.array([pivot], dtype=float),
-        limits=np.array([limits or spec.limits]),
-    ).centred()
-
-
-def plain_laptop() -> ObjectModel:
-    base, screen = box((-0.17, 0, 0), (0.17, 0.02, 0.24)), box((-0.165, 0.025, -0.01), (0.165, 0.24, 0.0))
-    return as_object(LAPTOP, [base, screen], (0, 0.022, 0.005))
-
-
-def plain_dishwasher() -> ObjectModel:
-    body, door = box((-0.3, 0, -0.55), (0.3, 0.82, 0)), box((-0.29, 0.1, 0), (0.29, 0.8, 0.03))
-    return as_object(DISHWASHER, [body, door], (0, 0.1, 0.01))
 
 
 def seen_otherwise(model: ObjectModel, seed: int, flip: bool = False, zero: float | None = None) -> ObjectModel:
@@ -64,14 +39,6 @@ def seen_otherwise(model: ObjectModel, seed: int, flip: bool = False, zero: floa
         pivots=(model.pivots + rng.uniform(-1, 1) * model.axes) @ R.T + t,
         limits=-limits[:, ::-1] if flip else limits,
     )
-
-
-def edited(file: Path, change) -> Path:
-    """Rewrite a URDF through ``change(root element)``."""
-    tree = ElementTree.parse(file)
-    change(tree.getroot())
-    tree.write(file)
-    return file
 
 
 def without_limits(root) -> None:
@@ -131,24 +98,6 @@ def test_unnamed_links_are_told_apart_by_structure(tmp_path):
     truth = plain_dishwasher()
     file = edited(write_urdf(truth, tmp_path), renamed({"body": "link_0", "door": "link_1"}))
     assert_same(import_model(file, DISHWASHER), truth, 1e-9, 1e-9)
-
-
-def box_link(root, name: str, low, high) -> None:
-    low, high = np.array(low), np.array(high)
-    link = ElementTree.SubElement(root, "link", name=name)
-    visual = ElementTree.SubElement(link, "visual")
-    ElementTree.SubElement(visual, "origin", xyz=" ".join(map(str, (low + high) / 2)))
-    geometry = ElementTree.SubElement(visual, "geometry")
-    ElementTree.SubElement(geometry, "box", size=" ".join(map(str, high - low)))
-
-
-def extra_joint(root, name: str, parent: str, child: str, kind: str, **limits: str) -> None:
-    joint = ElementTree.SubElement(root, "joint", name=name, type=kind)
-    ElementTree.SubElement(joint, "parent", link=parent)
-    ElementTree.SubElement(joint, "child", link=child)
-    ElementTree.SubElement(joint, "axis", xyz="0 0 1")
-    if limits:
-        ElementTree.SubElement(joint, "limit", limits)
 
 
 def test_a_shape_whose_origin_is_no_number_is_refused(tmp_path):
@@ -382,3 +331,21 @@ def test_a_lid_inside_its_jar_rests_where_its_file_says_whichever_way_its_thread
 
 def test_every_rest_rule_has_its_geometry():
     assert {rule for _, rule in RULES} == set(get_args(RestRule))
+
+
+def test_an_extra_joint_that_may_not_stand_at_zero_takes_the_joints_that_it_carries_with_it(tmp_path):
+    """A door on a swivel that is turned by a tenth at least: its hinge turns with it, as its panel does."""
+    plain = plain_dishwasher()
+
+    def change(root) -> None:
+        box_link(root, "swivel", (-0.1, 0.0, -0.2), (0.1, 0.05, 0.1))
+        extra_joint(root, "sway", "body", "swivel", "revolute", lower="0.1", upper="0.2")
+        root.find("joint/parent").set("link", "swivel")
+
+    [found] = next(label_parts(read_articulation(edited(write_urdf(plain, tmp_path), change)), DISHWASHER))
+    turn, [hinge] = Rotation.from_rotvec([0, 0, 0.1]), found.joints
+    np.testing.assert_allclose(hinge.axis, turn.apply(plain.axes[0]), atol=1e-9)
+    np.testing.assert_allclose(hinge.pivot, turn.apply(plain.pivots[0]), atol=1e-9)
+    expected = turn.apply(plain.parts[1].vertices)
+    gap = np.linalg.norm(found.links[1].mesh.vertices[:, None] - expected, axis=2).min(1)
+    assert gap.max() < 1e-9

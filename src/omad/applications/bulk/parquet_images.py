@@ -5,14 +5,15 @@
   float64; or a list of rows of numbers. Integers are millimetres, floats metres, if nothing else is said.
 - ``mask``, if there is one: in the same forms, as ``read_mask`` takes them, or a byte a pixel; of rows without one the
   mask given for all holds; where there is none and ``mask_id`` says which object, such a row is refused.
-- ``depth_scale``, if it is not the usual one: metres per stored number.
-- ``intrinsics``, if they are not the same for all: fx, fy, cx, cy, or nine numbers row by row.
+- ``depth_scale``, if it is not the usual one: metres per stored number; else that of ``intrinsics``, or in a PNG's text.
+- ``intrinsics``, if they are not the same for all: fx, fy, cx, cy, nine numbers row by row, or a camera file's text.
 - ``id``, if rows have names.
 """
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
+from io import BytesIO
 from pathlib import Path
 from typing import Any, Self
 
@@ -22,6 +23,7 @@ from omad.common.errors import InputError, WorkError, shown
 from omad.common.files import one_line
 from omad.data.shards.parquet import import_pyarrow
 from omad.data.shards.store import Store
+from omad.sensing.beside import scale_in_text
 from omad.sensing.camera_files import CameraFile, parse_camera
 from omad.sensing.depth_files import in_metres, parse_mask, parse_stored
 from omad.sensing.observation import Observation
@@ -115,7 +117,9 @@ class ParquetImages:
         camera = None if told is None else _camera(told)
         scale = _number(values, "depth_scale")
         scale = self.reader.depth_scale if scale is None else scale
-        return self.reader.observe(in_metres(depth, scale, self.reader.metres_per_integer()), mask, camera)
+        own = None if camera is None else camera.depth_scale
+        usual = own or self.reader.metres_per_integer(_scale_in_text(values["depth"]))
+        return self.reader.observe(in_metres(depth, scale, usual), mask, camera)
 
 
 def _check_reached(path: Path | str, error: Exception) -> None:
@@ -132,6 +136,12 @@ def _opened(address: str) -> Any:
 def _camera(told: Any) -> CameraFile:
     numbers = told if isinstance(told, str) else ",".join(map(str, np.asarray(told, dtype=float).ravel()))
     return parse_camera(numbers, "intrinsics")
+
+
+def _scale_in_text(value: Any) -> float | None:
+    """That of a PNG, of an Arrow scalar."""
+    value = value["bytes"] if hasattr(value, "keys") else value
+    return None if hasattr(value, "values") else scale_in_text(BytesIO(value.as_py()), "depth")
 
 
 def _number(values: dict[str, Any], name: str, whole: bool = False) -> float | None:
