@@ -5,7 +5,7 @@
   float64; or a list of rows of numbers. Integers are millimetres, floats metres, if nothing else is said.
 - ``mask``, if there is one: in the same forms, as ``read_mask`` takes them, or a byte a pixel; of rows without one the
   mask given for all holds; where there is none and ``mask_id`` says which object, such a row is refused.
-- ``depth_scale``, if it is not the usual one: metres per stored number; else that of ``intrinsics``, or in a PNG's text.
+- ``depth_scale``, if it is not the usual one: metres per number; else that of ``intrinsics``, or of a PNG's text.
 - ``intrinsics``, if they are not the same for all: fx, fy, cx, cy, nine numbers row by row, or a camera file's text.
 - ``id``, if rows have names.
 """
