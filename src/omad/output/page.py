@@ -137,6 +137,5 @@ def _source(observation: Observation, rows: slice, columns: slice) -> str | None
 
 def _rounded(values: Any, digits: int) -> Any:
     """Plain numbers with so many decimals; null where there is none, or it is not finite."""
-    if np.ndim(values):
-        return [_rounded(value, digits) for value in values]
-    return None if values is None or not np.isfinite(values) else round(float(values), digits)
+    rounded = np.round(np.asarray(values, dtype=float), digits)
+    return (rounded if np.isfinite(rounded).all() else np.where(np.isfinite(rounded), rounded, None)).tolist()

@@ -173,6 +173,7 @@ def lay_out(fig: Figure, rect: tuple[float, float, float, float] = (0, 0, 1, 1))
     _plain_texts(fig)
     with _any_script():
         fig.tight_layout(rect=rect)
+    fig.set_layout_engine(None)  # or it would be laid out, drawn in full for that, once more where it is saved
 
 
 @contextmanager
