@@ -138,6 +138,6 @@ def _source(observation: Observation, rows: slice, columns: slice) -> str | None
 def _rounded(values: Any, digits: int) -> Any:
     """Plain numbers with so many decimals; null where there is none, or it is not finite."""
     rounded = np.round(np.asarray(values, dtype=float), digits)
-    plain = rounded.astype(object)
+    plain = np.asarray(rounded, dtype=object)
     plain[~np.isfinite(rounded)] = None
     return plain.tolist()
